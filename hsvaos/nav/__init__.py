@@ -1,0 +1,1 @@
+"""Pose estimation from inertial, satellite and barometer logs. Knows no images."""

@@ -1,0 +1,154 @@
+"""Focal surfaces: where the rays of the virtual camera meet the ground."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, init=False, eq=False)
+class FocalPlane:
+    """A synthetic focal plane, horizontal at `down_m` or through `point` with a `normal`.
+
+    Args:
+        down_m: Down coordinate of a horizontal plane, world NED [m].
+        point: Shape (3,), a point of a tilted plane, world NED [m]; replaces down_m.
+        normal: Shape (3,), its normal, of any length and either sign; vertical if not given.
+
+    Raises:
+        ValueError: If a number is not finite, or the normal has no length.
+    """
+
+    point: Array
+    normal: Array
+
+    def __init__(
+        self,
+        down_m: float = 0.0,
+        *,
+        point: ArrayLike | None = None,
+        normal: ArrayLike = (0.0, 0.0, 1.0),
+    ) -> None:
+        at = np.array([0.0, 0.0, down_m] if point is None else point, dtype=np.float64)
+        direction = np.array(normal, dtype=np.float64)
+        if at.shape != (3,) or not np.isfinite(at).all():
+            raise ValueError(f"a focal plane needs a finite point (down_m or 3 numbers), got {at}")
+        length = float(np.linalg.norm(direction)) if direction.shape == (3,) else 0.0
+        if not (np.isfinite(length) and length > 0.0):
+            raise ValueError(f"normal must be 3 finite numbers, not all zero, got {normal!r}")
+        object.__setattr__(self, "point", at)
+        object.__setattr__(self, "normal", direction / length)
+
+
+@dataclass(frozen=True, eq=False)
+class FocalTerrain:
+    """A focal surface given as a height field on a regular north-east grid.
+
+    Between the nodes the surface is bilinear; NaN nodes are holes, which rays pass through unseen.
+
+    Args:
+        north0_m: North of node (0, 0), world NED [m].
+        east0_m: East of node (0, 0) [m].
+        spacing_m: Distance of neighbouring nodes, both ways [m].
+        down_m: Shape (rows, columns), float32 down of the surface [m]; rows run to the north,
+            columns to the east. NaN where unknown.
+
+    Raises:
+        ValueError: If the grid is smaller than 2 x 2, has no finite node or no positive spacing.
+    """
+
+    north0_m: float
+    east0_m: float
+    spacing_m: float
+    down_m: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        down = np.ascontiguousarray(self.down_m, dtype=np.float32)
+        if down.ndim != 2 or min(down.shape) < 2:
+            raise ValueError(f"down_m must be a grid of at least 2 x 2, got shape {down.shape}")
+        if np.isinf(down).any() or np.isnan(down).all():
+            raise ValueError("down_m must hold finite metres (NaN for holes), and some of them")
+        if not (np.isfinite(self.spacing_m) and self.spacing_m > 0.0):
+            raise ValueError(f"spacing_m must be a positive distance, got {self.spacing_m!r}")
+        object.__setattr__(self, "down_m", down)
+
+    @classmethod
+    def from_arrays(cls, north_m: ArrayLike, east_m: ArrayLike, down_m: ArrayLike) -> FocalTerrain:
+        """Return a terrain from a height field and its axes.
+
+        Args:
+            north_m: Shape (rows,), evenly spaced, rising or falling [m].
+            east_m: Shape (columns,), evenly spaced, rising or falling, same spacing [m].
+            down_m: Shape (rows, columns) [m], NaN where unknown.
+
+        Raises:
+            ValueError: If shapes differ or the axes are not evenly spaced.
+        """
+        north = np.asarray(north_m, dtype=np.float64)
+        east = np.asarray(east_m, dtype=np.float64)
+        down = np.asarray(down_m, dtype=np.float32)
+        if down.shape != (north.size, east.size) or min(north.size, east.size) < 2:
+            raise ValueError(
+                f"down_m must have shape (len(north_m), len(east_m)) = ({north.size}, {east.size}) "
+                f"and at least 2 x 2 nodes, got {down.shape}"
+            )
+        steps = np.concatenate([np.abs(np.diff(north)), np.abs(np.diff(east))])
+        spacing = float(steps.mean())
+        if not np.allclose(steps, spacing, rtol=1e-3, atol=0.0):
+            raise ValueError("north_m and east_m must be evenly spaced by the same distance")
+        down = down[:: 1 if north[1] > north[0] else -1, :: 1 if east[1] > east[0] else -1]
+        return cls(float(north.min()), float(east.min()), spacing, down)
+
+    @classmethod
+    def from_mesh(
+        cls, vertices: ArrayLike, faces: ArrayLike, spacing_m: float | None = None
+    ) -> FocalTerrain:
+        """Return the height field of a triangle mesh, seen from above.
+
+        Args:
+            vertices: Shape (V, 3), world NED [m].
+            faces: Shape (F, 3), vertex numbers.
+            spacing_m: Distance of the grid's nodes [m]; by default a quarter of the mean edge.
+
+        Raises:
+            ValueError: If the mesh is empty or a face names a vertex that is not there.
+        """
+        from hsvaos.formats.mesh import rasterise_mesh
+
+        return rasterise_mesh(vertices, faces, spacing_m)
+
+    @classmethod
+    def from_file(
+        cls, path: str | Path, origin: tuple[float, float, float] | None = None
+    ) -> FocalTerrain:
+        """Read a terrain file.
+
+        Args:
+            path: GeoTIFF digital elevation model (extra `geo`; needs the origin), `.obj` mesh with
+                axes x = east, y = south, z = down (JKU's), or `.npz` with north_m, east_m, down_m.
+            origin: Latitude [deg], longitude [deg] and height [m] of the world's origin.
+
+        Raises:
+            FlightError: If the file cannot be read or its format is not known.
+        """
+        from hsvaos.formats.terrain import read_terrain
+
+        return read_terrain(Path(path), origin)
+
+    @property
+    def lowest_m(self) -> float:
+        """Greatest down of the surface [m]."""
+        return float(np.nanmax(self.down_m))
+
+    @property
+    def highest_m(self) -> float:
+        """Least down of the surface [m]."""
+        return float(np.nanmin(self.down_m))
+
+
+FocalSurface = FocalPlane | FocalTerrain
