@@ -10,8 +10,11 @@ from typing import Any
 
 import warp as wp
 
-_MIN_BAND = 4096
-"""Elements below which a band is not worth a thread's wake-up."""
+PIXEL_GRAIN = 4096
+"""Pixels below which a band is not worth a thread's wake-up."""
+
+ROW_GRAIN = 32
+"""The same for kernels whose elements are rows of pixels."""
 
 _lock = threading.Lock()
 _pool: ThreadPoolExecutor | None = None
@@ -83,12 +86,12 @@ def set_threads(count: int) -> None:
         _pool = None
 
 
-def bands(size: int, device: Any) -> list[tuple[int, int]]:
+def bands(size: int, device: Any, grain: int = PIXEL_GRAIN) -> list[tuple[int, int]]:
     """Return (offset, length) of the parts of a 1-D launch: one on CUDA, one a thread on the CPU.
 
     Kernels that reduce keep one accumulator a band, because Warp's CPU atomics are plain adds.
     """
-    count = 1 if device.is_cuda else max(1, min(threads(), size // _MIN_BAND))
+    count = 1 if device.is_cuda else max(1, min(threads(), size // grain))
     edges = [size * i // count for i in range(count + 1)]
     return [(a, b - a) for a, b in itertools.pairwise(edges)]
 
@@ -106,7 +109,9 @@ def load(kernel: Any, device: Any) -> None:
         on_load(kernel.key, time.perf_counter() - start)
 
 
-def launch(kernel: Any, size: int, inputs: Sequence[Any], device: Any) -> None:
+def launch(
+    kernel: Any, size: int, inputs: Sequence[Any], device: Any, grain: int = PIXEL_GRAIN
+) -> None:
     """Launch a 1-D kernel whose first two arguments are `offset` and `band`.
 
     On the CPU Warp runs a launch on one thread and lets go of Python's lock meanwhile, so bands
@@ -118,12 +123,13 @@ def launch(kernel: Any, size: int, inputs: Sequence[Any], device: Any) -> None:
         size: Number of elements.
         inputs: Arguments after `offset` and `band`.
         device: Warp device.
+        grain: Elements below which a band is not worth a thread.
     """
     global _pool
     if size == 0:
         return
     load(kernel, device)
-    parts = bands(size, device)
+    parts = bands(size, device, grain)
 
     def part(band: int) -> None:
         offset, length = parts[band]
