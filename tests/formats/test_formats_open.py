@@ -11,8 +11,8 @@ def test_jku_conifer(data):
     assert (flight.format, len(flight)) == ("jku", 10)
     assert flight.mask.name == "mask.png"
     assert any("mask.png" in note for note in flight.notes)
-    # The cameras stand in a row of 12 units and look down.
-    assert np.ptp(flight.poses[:, 1, 3]) == pytest.approx(12.0, abs=0.5)
+    # The cameras stand in a row of 11 units and look down.
+    assert np.ptp(flight.poses[:, 1, 3]) == pytest.approx(11.0, abs=0.1)
     assert (flight.poses[:, 2, 2] > 0.97).all()
     assert next(flight.images()).shape == (1024, 1024, 3)
 
