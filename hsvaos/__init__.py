@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from hsvaos.flight import FlightError as FlightError
     from hsvaos.flight import Frame as Frame
     from hsvaos.flight import Origin as Origin
+    from hsvaos.formats.open import open_flight as open_flight
     from hsvaos.surface import FocalPlane as FocalPlane
     from hsvaos.surface import FocalTerrain as FocalTerrain
 
@@ -27,6 +28,7 @@ _HOME = {
     "FlightError": "hsvaos.flight",
     "Frame": "hsvaos.flight",
     "Origin": "hsvaos.flight",
+    "open_flight": "hsvaos.formats.open",
     "FocalPlane": "hsvaos.surface",
     "FocalTerrain": "hsvaos.surface",
 }

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    from hsvaos.flight import Origin
 
 Array = NDArray[np.float64]
 
@@ -124,14 +128,14 @@ class FocalTerrain:
 
     @classmethod
     def from_file(
-        cls, path: str | Path, origin: tuple[float, float, float] | None = None
+        cls, path: str | Path, origin: Origin | tuple[float, float, float] | None = None
     ) -> FocalTerrain:
         """Read a terrain file.
 
         Args:
             path: GeoTIFF digital elevation model (extra `geo`; needs the origin), `.obj` mesh with
                 axes x = east, y = south, z = down (JKU's), or `.npz` with north_m, east_m, down_m.
-            origin: Latitude [deg], longitude [deg] and height [m] of the world's origin.
+            origin: The world's origin: latitude [deg], longitude [deg] and height [m].
 
         Raises:
             FlightError: If the file cannot be read or its format is not known.

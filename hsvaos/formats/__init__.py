@@ -1,1 +1,1 @@
-"""Readers and writers of files that others define."""
+"""Readers and writers of files that others define; `open_flight` knows them all."""

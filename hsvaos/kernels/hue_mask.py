@@ -1,0 +1,221 @@
+"""Hue histogram by a parallel reduction, and the mask that cuts mean +- k sigma (the trees)."""
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from hsvaos.hue_statistics import BINS, HueStatistics, check_statistics, hue_statistics
+from hsvaos.kernels.color import rgb_to_hsv_pixel
+from hsvaos.kernels.device import bands, launch
+from hsvaos.kernels.pixels import (
+    Stack,
+    as_vec3,
+    device_of,
+    like_input,
+    output_array,
+    pixel_scales,
+    pixel_view,
+    valid_array,
+)
+
+wp.set_module_options({"enable_backward": False})
+
+_UNIT = 65535.0
+"""Chroma 1 as a whole number: sums of whole numbers do not depend on their order."""
+
+_SUMS = BINS + 2
+"""Entries of an accumulator: the bins, the sum of chroma, the number of valid pixels."""
+
+
+@lru_cache
+def _histogram_kernel(pixel: Any) -> Any:
+    @wp.kernel(module="unique", enable_backward=False)
+    def hue_histogram_kernel(
+        offset: int,
+        band: int,
+        scale: wp.vec3,
+        circular: int,
+        rgb: wp.array(dtype=pixel),
+        valid: wp.array(dtype=wp.uint8),
+        sums: wp.array2d(dtype=wp.int64),
+    ):
+        i = wp.tid() + offset
+        if valid[i] == wp.uint8(0):
+            return
+        hsv = rgb_to_hsv_pixel(wp.cw_mul(as_vec3(rgb[i]), scale))
+        chroma = wp.int64(hsv[1] * hsv[2] * _UNIT + 0.5)
+        weight = wp.int64(1)
+        if circular != 0:
+            weight = chroma
+        bin = wp.min(int(hsv[0] * (float(BINS) / 360.0)), BINS - 1)
+        wp.atomic_add(sums, band, bin, weight)
+        wp.atomic_add(sums, band, BINS, chroma)
+        wp.atomic_add(sums, band, BINS + 1, wp.int64(1))
+
+    return hue_histogram_kernel
+
+
+@lru_cache
+def _mask_kernel(pixel: Any) -> Any:
+    @wp.kernel(module="unique", enable_backward=False)
+    def hue_mask_kernel(
+        offset: int,
+        band: int,
+        scale: wp.vec3,
+        circular: int,
+        mean: float,
+        half_width: float,
+        rgb: wp.array(dtype=pixel),
+        valid: wp.array(dtype=wp.uint8),
+        mask: wp.array(dtype=wp.uint8),
+    ):
+        i = wp.tid() + offset
+        hsv = rgb_to_hsv_pixel(wp.cw_mul(as_vec3(rgb[i]), scale))
+        distance = wp.abs(hsv[0] - mean)
+        keep = valid[i]
+        if circular != 0:
+            distance = wp.min(distance, 360.0 - distance)
+        if distance <= half_width and (circular == 0 or hsv[1] > 0.0):
+            keep = wp.uint8(0)
+        mask[i] = keep
+
+    return hue_mask_kernel
+
+
+def hue_histograms(
+    images: Any,
+    *,
+    statistics: str = "circular",
+    valid: Any = None,
+    gains: Any = None,
+    device: Any = None,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Count the hues of every image.
+
+    Args:
+        images: Shape (N, H, W, 3) RGB; uint8, uint16 or float32 (0..1).
+        statistics: "circular" weighs each pixel by saturation x value, because dark grey pixels
+            have noise for a hue; "linear" counts every pixel once, as the paper does.
+        valid: Shape (H, W) or (N, H, W), uint8 or bool, pixels to use; None for all.
+        gains: Shape (N, 3), factors on R, G and B of each image; see `kernels.levels`.
+        device: Where to run; by default where the images lie.
+
+    Returns:
+        histograms, shape (N, 1440), float64, quarter-degree bins, and the mean chroma (saturation
+        x value) of each image, shape (N,), 0 where no pixel is valid.
+
+    Raises:
+        ValueError: If images or masks have the wrong shape.
+        TypeError: If their type is not supported.
+    """
+    check_statistics(statistics, 1.0)
+    stack = Stack(images, device_of(images, device))
+    stack.require_colour()
+    masks = valid_array(valid, stack)
+    kernel = _histogram_kernel(stack.pixel)
+    shape = (stack.count, len(bands(stack.size, stack.device)), _SUMS)
+    sums = wp.zeros(shape, dtype=wp.int64, device=stack.device)
+    circular = int(statistics == "circular")
+    scales = pixel_scales(stack, gains)
+    for i in range(stack.count):
+        inputs = [scales[i], circular, stack.pixels[i], masks[i % masks.shape[0]], sums[i]]
+        launch(kernel, stack.size, inputs, stack.device)
+    totals = sums.numpy().sum(axis=1).astype(np.float64)
+    unit = _UNIT if circular else 1.0
+    chroma = totals[:, BINS] / _UNIT / np.maximum(totals[:, BINS + 1], 1.0)
+    return totals[:, :BINS] / unit, chroma
+
+
+def apply_hue_cut(
+    images: Any,
+    stats: list[HueStatistics],
+    *,
+    valid: Any = None,
+    gains: Any = None,
+    out: Any = None,
+    device: Any = None,
+) -> Any:
+    """Make the masks of a hue cut that was measured before; see `hue_masks`.
+
+    Args:
+        images: Shape (N, H, W, 3) RGB.
+        stats: N statistics, one an image.
+        valid: User masks that multiply in.
+        gains: Shape (N, 3), factors on R, G and B of each image, as when measured.
+        out: Shape (N, H, W), uint8, written in place; new if None.
+        device: Where to run; by default where the images lie.
+    """
+    stack = Stack(images, device_of(images, device))
+    stack.require_colour()
+    masks = valid_array(valid, stack)
+    shape = (stack.count, stack.height, stack.width)
+    result = output_array(out, shape, wp.uint8, stack.device, "out")
+    target = pixel_view(result, wp.uint8, (stack.count, stack.size))
+    kernel = _mask_kernel(stack.pixel)
+    scales = pixel_scales(stack, gains)
+    for i, s in enumerate(stats):
+        half_width = s.sigmas * s.sigma_deg if s.informative else -1.0
+        inputs = [
+            *(scales[i], int(s.statistics == "circular"), s.mean_deg, half_width),
+            *(stack.pixels[i], masks[i % masks.shape[0]], target[i]),
+        ]
+        launch(kernel, stack.size, inputs, stack.device)
+    return like_input(result, images) if out is None else out
+
+
+def hue_masks(
+    images: Any,
+    sigmas: float = 2.0,
+    statistics: str = "circular",
+    scope: str = "image",
+    *,
+    valid: Any = None,
+    gains: Any = None,
+    out: Any = None,
+    device: Any = None,
+) -> tuple[Any, list[HueStatistics]]:
+    """Cut the trees: pixels whose hue lies within mean +- sigmas sigma (section 3.1 of the paper).
+
+    Where hue says nothing (snow, grey, thermal; see `hue_statistics`) every pixel is kept, and the
+    statistics say so. With circular statistics a pixel of no saturation has no hue and is kept.
+
+    Args:
+        images: Shape (N, H, W, 3), RGB; uint8, uint16 or float32 (0..1).
+        sigmas: Half width of the cut.
+        statistics: "circular" (weighted by saturation x value) or "linear" (the paper's).
+        scope: "image" measures each image by itself, "flight" all of them together.
+        valid: Shape (H, W) or (N, H, W), uint8 or bool: user masks (0 = ignore), which multiply
+            into the result and keep pixels out of the statistics.
+        gains: Shape (N, 3), factors on R, G and B of each image; see `kernels.levels`.
+        out: Shape (N, H, W), uint8, written in place; new if None.
+        device: Where to run; by default where the images lie.
+
+    Returns:
+        masks, shape (N, H, W), uint8, 255 = keep and 0 = cut (in between where user masks are), and
+        N `HueStatistics` (the same one N times for scope "flight").
+
+    Raises:
+        ValueError: If a parameter is out of range or images are not RGB.
+        TypeError: If a type is not supported.
+    """
+    check_statistics(statistics, sigmas)
+    if scope not in ("image", "flight"):
+        raise ValueError(f'scope must be "image" or "flight", got {scope!r}')
+    histograms, chroma = hue_histograms(
+        images, statistics=statistics, valid=valid, gains=gains, device=device
+    )
+    if scope == "flight":
+        whole = hue_statistics(
+            histograms.sum(axis=0), float(chroma.mean()), statistics=statistics, sigmas=sigmas
+        )
+        stats = [whole] * len(histograms)
+    else:
+        stats = [
+            hue_statistics(h, float(c), statistics=statistics, sigmas=sigmas)
+            for h, c in zip(histograms, chroma, strict=True)
+        ]
+    masks = apply_hue_cut(images, stats, valid=valid, gains=gains, out=out, device=device)
+    return masks, stats

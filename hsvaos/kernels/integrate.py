@@ -1,0 +1,337 @@
+"""Integral images: every output pixel gathers every photo at its focal point."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike, NDArray
+
+from hsvaos.camera import Camera, VirtualCamera, check_pose
+from hsvaos.kernels.device import launch
+from hsvaos.kernels.lens import Lens, lens, project
+from hsvaos.kernels.pixels import (
+    Stack,
+    as_vec3,
+    device_of,
+    like_input,
+    output_array,
+    pixel_view,
+    to_array,
+)
+from hsvaos.kernels.rays import focal_points
+from hsvaos.surface import FocalPlane, FocalSurface, FocalTerrain
+
+wp.set_module_options({"enable_backward": False})
+
+_NO_LIMIT = 1e30
+
+
+@wp.struct
+class Pose:
+    """World to camera: rotation, and the camera's centre relative to the virtual camera [m]."""
+
+    rotation: wp.mat33
+    centre: wp.vec3
+
+
+@wp.func
+def as_value(pixel: wp.vec3ub) -> wp.vec3:
+    """Pixel as what is summed up: a vector for RGB."""
+    return as_vec3(pixel)
+
+
+@wp.func
+def as_value(pixel: wp.vec3us) -> wp.vec3:  # noqa: F811 - Warp overloads by type
+    """Pixel as what is summed up: a vector for RGB."""
+    return as_vec3(pixel)
+
+
+@wp.func
+def as_value(pixel: wp.vec3) -> wp.vec3:  # noqa: F811
+    """Pixel as what is summed up: a vector for RGB."""
+    return pixel
+
+
+@wp.func
+def as_value(pixel: wp.uint8) -> float:  # noqa: F811
+    """Pixel as what is summed up: a number for grey."""
+    return float(pixel)
+
+
+@wp.func
+def as_value(pixel: wp.uint16) -> float:  # noqa: F811
+    """Pixel as what is summed up: a number for grey."""
+    return float(pixel)
+
+
+@wp.func
+def as_value(pixel: float) -> float:  # noqa: F811
+    """Pixel as what is summed up: a number for grey."""
+    return pixel
+
+
+@lru_cache
+def _gather_kernel(pixel: Any, weight: Any, value: Any) -> Any:
+    @wp.kernel(module="unique", enable_backward=False)
+    def gather_kernel(
+        offset: int,
+        band: int,
+        lens: Lens,
+        poses: wp.array(dtype=Pose),
+        order: wp.array(dtype=int),
+        aperture2: float,
+        points: wp.array(dtype=wp.vec4),
+        images: wp.array2d(dtype=pixel),
+        weights: wp.array2d(dtype=weight),
+        weight_unit: float,
+        image: wp.array(dtype=value),
+        footprint: wp.array(dtype=float),
+    ):
+        i = wp.tid() + offset
+        point = points[i]
+        total = value(0.0)
+        sum_of_weights = float(0.0)
+        if point[3] > 0.0:
+            place = wp.vec3(point[0], point[1], point[2])
+            for k in range(order.shape[0]):
+                n = order[k]
+                away = place - poses[n].centre
+                if away[0] * away[0] + away[1] * away[1] <= aperture2:
+                    at = project(poses[n].rotation * away, lens)
+                    u, v = at[0], at[1]
+                    # a photo covers the area of its pixels; its edge pixels reach to the border
+                    if (
+                        at[2] > 0.0
+                        and u >= -0.5
+                        and v >= -0.5
+                        and u <= float(lens.width) - 0.5
+                        and v <= float(lens.height) - 0.5
+                    ):
+                        left = wp.floor(u)
+                        top = wp.floor(v)
+                        fx = u - left
+                        fy = v - top
+                        x0 = wp.max(int(left), 0)
+                        y0 = wp.max(int(top), 0)
+                        x1 = wp.min(int(left) + 1, lens.width - 1)
+                        y1 = wp.min(int(top) + 1, lens.height - 1)
+                        a = y0 * lens.width + x0
+                        b = y0 * lens.width + x1
+                        c = y1 * lens.width + x0
+                        d = y1 * lens.width + x1
+                        wa = (1.0 - fx) * (1.0 - fy)
+                        wb = fx * (1.0 - fy)
+                        wc = (1.0 - fx) * fy
+                        wd = fx * fy
+                        if weight_unit > 0.0:
+                            wa *= float(weights[n, a]) * weight_unit
+                            wb *= float(weights[n, b]) * weight_unit
+                            wc *= float(weights[n, c]) * weight_unit
+                            wd *= float(weights[n, d]) * weight_unit
+                        total += (
+                            as_value(images[n, a]) * wa
+                            + as_value(images[n, b]) * wb
+                            + as_value(images[n, c]) * wc
+                            + as_value(images[n, d]) * wd
+                        )
+                        sum_of_weights += wa + wb + wc + wd
+        if sum_of_weights > 0.0:
+            total = total / sum_of_weights
+        image[i] = total
+        footprint[i] = sum_of_weights
+
+    return gather_kernel
+
+
+class Integrator:
+    """Photos held on a device, ready to be integrated from any virtual camera.
+
+    Args:
+        camera: The camera of all photos.
+        images: Shape (N, H, W, 3) RGB or (N, H, W) grey; uint8, uint16 or float32; NumPy, DLPack
+            or `__cuda_array_interface__`. Nothing is copied that already lies on the device.
+        world_from_camera: Shape (N, 4, 4), pose of each photo, world NED [m].
+        weights: Shape (N, H, W), uint8 (255 = weight 1), bool or float32 (not negative): how much
+            each pixel counts; None for 1 everywhere.
+        device: "cpu", "cuda:0", ...; by default where the images lie.
+
+    Raises:
+        ValueError: If shapes do not fit the camera or each other, a pose holds no rotation, or the
+            device is not on this machine.
+        TypeError: If a type is not supported.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        images: Any,
+        world_from_camera: ArrayLike,
+        weights: Any = None,
+        device: Any = None,
+    ) -> None:
+        self.device = device_of(images, device)
+        self.camera = camera
+        self._stack = Stack(images, self.device)
+        self._like = None if isinstance(images, (list, tuple)) else images
+        stack = self._stack
+        if (stack.width, stack.height) != (camera.width, camera.height):
+            raise ValueError(
+                f"images must have the camera's size {camera.width} x {camera.height}, "
+                f"got {stack.width} x {stack.height}"
+            )
+        poses = np.asarray(world_from_camera, dtype=np.float64)
+        if poses.ndim != 3 or len(poses) != stack.count:
+            raise ValueError(
+                f"world_from_camera must have shape ({stack.count}, 4, 4), got {poses.shape}"
+            )
+        self.world_from_camera: NDArray[np.float64] = np.stack(
+            [check_pose(pose, f"world_from_camera[{i}]") for i, pose in enumerate(poses)]
+        )
+        self._weights, self._weight_unit = self._check_weights(weights)
+
+    def _check_weights(self, weights: Any) -> tuple[Any, float]:
+        stack = self._stack
+        if weights is None:
+            return wp.empty((1, 1), dtype=wp.uint8, device=self.device), 0.0
+        array = to_array(weights, self.device, "weights")
+        expected = (stack.count, stack.height, stack.width)
+        if tuple(array.shape) != expected:
+            raise ValueError(f"weights must have shape {expected}, got {tuple(array.shape)}")
+        if array.dtype not in (wp.uint8, wp.float32):
+            raise TypeError(f"weights must be uint8 or float32, got {array.dtype.__name__}")
+        unit = 1.0 / 255.0 if array.dtype is wp.uint8 else 1.0
+        return pixel_view(array, array.dtype, (stack.count, stack.size)), unit
+
+    def __len__(self) -> int:
+        return self._stack.count
+
+    @property
+    def channels(self) -> int:
+        """Channels of the integral image: 3 or 1."""
+        return self._stack.channels
+
+    def integrate(
+        self,
+        view: VirtualCamera,
+        surface: FocalSurface,
+        aperture_m: float | None = None,
+        frames: Sequence[int] | None = None,
+        out: tuple[Any, Any] | None = None,
+    ) -> tuple[Any, Any]:
+        """Render the integral image of a virtual camera.
+
+        Every pixel casts a ray to the focal surface; there it gathers the photos that see the
+        point, bilinearly, and takes the mean weighted by `weights`. A photo sees a point that lies
+        in front of its camera and within the area of its pixels.
+
+        Args:
+            view: Virtual camera at any pose, or orthographic ground grid.
+            surface: Focal plane or terrain.
+            aperture_m: Radius of the synthetic aperture [m]: only photos taken within this
+                horizontal distance of the virtual camera count (for a ground grid: of the point
+                itself); None for all.
+            frames: Numbers of the photos to use; None for all.
+            out: (image, footprint) arrays, written in place; new if None.
+
+        Returns:
+            image, shape (H, W, C) float32 in units of the photos, and footprint, shape (H, W)
+            float32, the sum of weights. Where the footprint is 0 the image is 0; no NaN.
+
+        Raises:
+            ValueError: If the aperture or a frame number makes no sense, or out does not fit.
+            TypeError: If surface is no focal surface.
+        """
+        if not isinstance(surface, (FocalPlane, FocalTerrain)):
+            raise TypeError(
+                f"surface must be a FocalPlane or FocalTerrain, got {type(surface).__name__}"
+            )
+        order, aperture2 = self._select(view, aperture_m, frames)
+        shape = (view.height, view.width)
+        given = (None, None) if out is None else out
+        channels = self._stack.channels
+        image = output_array(given[0], (*shape, channels), wp.float32, self.device, "out[0]")
+        footprint = output_array(given[1], shape, wp.float32, self.device, "out[1]")
+        points = focal_points(view, surface, device=self.device)
+        setup = self._setup(view, order, aperture2)
+        self._gather(setup, points, image, footprint)
+        if out is not None:
+            return out
+        return like_input(image, self._like), like_input(footprint, self._like)
+
+    def sweep(
+        self,
+        view: VirtualCamera,
+        downs_m: ArrayLike,
+        aperture_m: float | None = None,
+        frames: Sequence[int] | None = None,
+        out: tuple[Any, Any] | None = None,
+    ) -> tuple[Any, Any]:
+        """Render the focal stack of a virtual camera: one integral image a horizontal plane.
+
+        Args:
+            view: Virtual camera at any pose, or orthographic ground grid.
+            downs_m: Shape (D,), down of each focal plane [m].
+            aperture_m: See `integrate`.
+            frames: See `integrate`.
+            out: (stack, footprint) arrays, written in place; new if None.
+
+        Returns:
+            stack, shape (D, H, W, C) float32, and footprint, shape (D, H, W) float32.
+
+        Raises:
+            ValueError: If there is no plane, or a parameter makes no sense.
+        """
+        downs = np.asarray(downs_m, dtype=np.float64)
+        if downs.ndim != 1 or downs.size == 0 or not np.isfinite(downs).all():
+            raise ValueError(f"downs_m must be a list of finite depths, got {downs_m!r}")
+        order, aperture2 = self._select(view, aperture_m, frames)
+        shape = (downs.size, view.height, view.width)
+        given = (None, None) if out is None else out
+        channels = self._stack.channels
+        stack = output_array(given[0], (*shape, channels), wp.float32, self.device, "out[0]")
+        footprint = output_array(given[1], shape, wp.float32, self.device, "out[1]")
+        setup = self._setup(view, order, aperture2)
+        points = None
+        for i, down in enumerate(downs):  # launches only: nothing here waits for the device
+            points = focal_points(view, FocalPlane(float(down)), out=points, device=self.device)
+            self._gather(setup, points, stack[i], footprint[i])
+        if out is not None:
+            return out
+        return like_input(stack, self._like), like_input(footprint, self._like)
+
+    def _setup(self, view: VirtualCamera, order: NDArray[np.int32], aperture2: float) -> list[Any]:
+        pose: Any = Pose
+        packed: Any = np.zeros(len(self), dtype=pose.numpy_dtype())
+        packed["rotation"] = self.world_from_camera[:, :3, :3].transpose(0, 2, 1)
+        packed["centre"] = self.world_from_camera[:, :3, 3] - view.world_from_camera[:3, 3]
+        poses = wp.array(packed, dtype=Pose, device=self.device)
+        return [lens(self.camera), poses, wp.array(order, dtype=int, device=self.device), aperture2]
+
+    def _gather(self, setup: list[Any], points: Any, image: Any, footprint: Any) -> None:
+        stack = self._stack
+        value = wp.vec3 if stack.channels == 3 else wp.float32
+        kernel = _gather_kernel(stack.pixel, self._weights.dtype, value)
+        photos = [stack.pixels, self._weights, self._weight_unit]
+        size = points.size
+        results = [pixel_view(image, value, (size,)), pixel_view(footprint, wp.float32, (size,))]
+        launch(kernel, size, [*setup, points, *photos, *results], self.device)
+
+    def _select(
+        self, view: VirtualCamera, aperture_m: float | None, frames: Sequence[int] | None
+    ) -> tuple[NDArray[np.int32], float]:
+        order = np.arange(len(self)) if frames is None else np.asarray(frames)
+        if order.ndim != 1 or (order.size and order.dtype.kind not in "iu"):
+            raise ValueError(f"frames must be a list of frame numbers, got {frames!r}")
+        if order.size and (order.min() < 0 or order.max() >= len(self)):
+            raise ValueError(f"frames must lie in 0..{len(self) - 1}, got {order.tolist()}")
+        if aperture_m is None:
+            return order.astype(np.int32), _NO_LIMIT
+        if not aperture_m > 0.0:
+            raise ValueError(f"aperture_m must be a positive radius, got {aperture_m!r}")
+        if view.is_ortho:  # each point has an aperture of its own: the kernel measures
+            return order.astype(np.int32), float(aperture_m) ** 2
+        away = self.world_from_camera[:, :2, 3] - view.world_from_camera[:2, 3]
+        near = np.hypot(away[:, 0], away[:, 1]) <= aperture_m
+        return order[near[order]].astype(np.int32), _NO_LIMIT

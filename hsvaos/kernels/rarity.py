@@ -1,0 +1,334 @@
+"""Rarity: weigh every pixel by how rare its colour is over the flight (a step beyond the paper).
+
+A hue cut deletes what has the forest's hue. Rarity asks the whole flight instead: chroma given
+lightness, p(chroma | lightness) from a histogram of all pixels, and the weight of a pixel is
+min(1, (p0 / p)^exponent). Grey images have no chroma; there the rarity of the grey level counts.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import cv2
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from hsvaos.kernels.device import bands, launch
+from hsvaos.kernels.lab import CURVE, GAMMA, gamma_table, lab_curve_table, lab_pixel
+from hsvaos.kernels.pixels import (
+    Stack,
+    as_vec3,
+    device_of,
+    like_input,
+    output_array,
+    pixel_scales,
+    pixel_view,
+    scalar_type,
+    valid_array,
+)
+
+wp.set_module_options({"enable_backward": False})
+
+LIGHTNESS_BINS = 10
+CHROMA_BINS = 40
+CHROMA_RANGE = 48.0
+"""Chroma coordinates 40 a / L and 40 b / L beyond this fall into the outermost bins."""
+
+LIGHTNESS_FLOOR = 8.0
+"""L below which chroma is not scaled up further: what is nearly black has noise for a colour."""
+
+GREY_BINS = 256
+
+_COLOUR_BINS = LIGHTNESS_BINS * CHROMA_BINS * CHROMA_BINS
+
+
+@dataclass(frozen=True, eq=False)
+class RarityModel:
+    """The colour histogram of a flight and the weight of each of its bins.
+
+    Args:
+        counts: Shape (10, 40, 40) of lightness, a and b bins, or (256,) of grey levels; int64.
+        probability: Same shape, float64, smoothed; p(chroma | lightness), or p(grey level).
+        weights: Same shape, float32, min(1, (p0 / p)^exponent), 0..1.
+        threshold: p0, in the probability of one bin.
+        exponent: Of the weight.
+    """
+
+    counts: NDArray[np.int64]
+    probability: NDArray[np.float64]
+    weights: NDArray[np.float32]
+    threshold: float
+    exponent: float
+
+    @property
+    def is_grey(self) -> bool:
+        """Whether the model is one of grey levels."""
+        return self.counts.ndim == 1
+
+
+@wp.func
+def colour_bin(lab: wp.vec3) -> int:
+    """Bin of a colour: lightness level, then chroma relative to lightness."""
+    scale = 40.0 / wp.max(lab[0], LIGHTNESS_FLOOR)
+    per_bin = float(CHROMA_BINS) / (2.0 * CHROMA_RANGE)
+    level = wp.clamp(int(lab[0] * (float(LIGHTNESS_BINS) / 100.0)), 0, LIGHTNESS_BINS - 1)
+    a = wp.clamp(int((lab[1] * scale + CHROMA_RANGE) * per_bin), 0, CHROMA_BINS - 1)
+    b = wp.clamp(int((lab[2] * scale + CHROMA_RANGE) * per_bin), 0, CHROMA_BINS - 1)
+    return (level * CHROMA_BINS + a) * CHROMA_BINS + b
+
+
+@lru_cache
+def _bin_function(pixel: Any) -> Any:
+    if pixel in (wp.uint8, wp.uint16, wp.float32):
+
+        @wp.func
+        def bin_of(
+            value: Any, scale: wp.vec3, gamma: wp.array(dtype=float), curve: wp.array(dtype=float)
+        ) -> int:
+            level = float(value) * scale[0] * float(GREY_BINS - 1) + 0.5
+            return wp.clamp(int(level), 0, GREY_BINS - 1)
+
+    else:
+
+        @wp.func
+        def bin_of(
+            value: Any, scale: wp.vec3, gamma: wp.array(dtype=float), curve: wp.array(dtype=float)
+        ) -> int:
+            return colour_bin(lab_pixel(wp.cw_mul(as_vec3(value), scale), gamma, curve))
+
+    return bin_of
+
+
+@lru_cache
+def _count_kernel(pixel: Any) -> Any:
+    bin_of = _bin_function(pixel)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def colour_histogram_kernel(
+        offset: int,
+        band: int,
+        scale: wp.vec3,
+        gamma: wp.array(dtype=float),
+        curve: wp.array(dtype=float),
+        image: wp.array(dtype=pixel),
+        valid: wp.array(dtype=wp.uint8),
+        counts: wp.array2d(dtype=wp.int64),
+    ):
+        i = wp.tid() + offset
+        if valid[i] > wp.uint8(0):
+            wp.atomic_add(counts, band, bin_of(image[i], scale, gamma, curve), wp.int64(1))
+
+    return colour_histogram_kernel
+
+
+@lru_cache
+def _weight_kernel(pixel: Any, scalar: Any) -> Any:
+    bin_of = _bin_function(pixel)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def rarity_weight_kernel(
+        offset: int,
+        band: int,
+        scale: wp.vec3,
+        gamma: wp.array(dtype=float),
+        curve: wp.array(dtype=float),
+        image: wp.array(dtype=pixel),
+        valid: wp.array(dtype=wp.uint8),
+        table: wp.array(dtype=scalar),
+        weights: wp.array(dtype=scalar),
+    ):
+        i = wp.tid() + offset
+        weight = table[bin_of(image[i], scale, gamma, curve)]
+        if valid[i] < wp.uint8(255):
+            weight = scalar(float(weight) * float(valid[i]) / 255.0)
+        weights[i] = weight
+
+    return rarity_weight_kernel
+
+
+def rarity_model(
+    images: Any,
+    *,
+    threshold: float | None = None,
+    exponent: float = 1.5,
+    smoothing_bins: float = 1.0,
+    valid: Any = None,
+    gains: Any = None,
+    device: Any = None,
+) -> RarityModel:
+    """Measure how rare each colour is over a flight.
+
+    Args:
+        images: Shape (N, H, W, 3) RGB or (N, H, W) grey; uint8, uint16 or float32 (0..1).
+        threshold: p0, probability of a bin below which a colour has weight 1. By default 2e-4 for
+            colours (1600 chroma bins) and 1.25e-3 for grey levels (256): the same share of an
+            even distribution.
+        exponent: Of the weight.
+        smoothing_bins: Sigma of the Gaussian that smooths the histogram [bins].
+        valid: Shape (H, W) or (N, H, W), uint8 or bool, pixels to use; None for all.
+        gains: Shape (N, 3), factors on R, G and B of each image; see `kernels.levels`.
+        device: Where to run; by default where the images lie.
+
+    Raises:
+        ValueError: If a parameter is out of range or shapes do not fit.
+        TypeError: If a type is not supported.
+    """
+    if threshold is not None and not threshold > 0.0:
+        raise ValueError(f"threshold must be a positive probability, got {threshold!r}")
+    if not exponent > 0.0:
+        raise ValueError(f"exponent must be positive, got {exponent!r}")
+    if not smoothing_bins >= 0.0:
+        raise ValueError(f"smoothing_bins must be 0 or more, got {smoothing_bins!r}")
+    stack = Stack(images, device_of(images, device))
+    masks = valid_array(valid, stack)
+    bins = _COLOUR_BINS if stack.channels == 3 else GREY_BINS
+    counts = wp.zeros(
+        (len(bands(stack.size, stack.device)), bins), dtype=wp.int64, device=stack.device
+    )
+    tables = _tables(stack.device)
+    scales = pixel_scales(stack, gains)
+    kernel = _count_kernel(stack.pixel)
+    for i in range(stack.count):
+        inputs = [scales[i], *tables, stack.pixels[i], masks[i % masks.shape[0]], counts]
+        launch(kernel, stack.size, inputs, stack.device)
+    total = counts.numpy().sum(axis=0)
+    if stack.channels == 3:
+        total = total.reshape(LIGHTNESS_BINS, CHROMA_BINS, CHROMA_BINS)
+    return model_from_counts(total, threshold, exponent, smoothing_bins)
+
+
+def model_from_counts(
+    counts: NDArray[np.int64], threshold: float | None, exponent: float, smoothing_bins: float
+) -> RarityModel:
+    """Return the model of a histogram: smoothed, normalised for each lightness, made a weight.
+
+    Args:
+        counts: Shape (10, 40, 40) or (256,), int64.
+        threshold: See `rarity_model`.
+        exponent: See `rarity_model`.
+        smoothing_bins: See `rarity_model`.
+    """
+    if threshold is None:
+        threshold = 2e-4 if counts.ndim == 3 else 2e-4 * CHROMA_BINS**2 / GREY_BINS
+    planes = counts.astype(np.float64).reshape(-1, *(counts.shape[1:] or (1, counts.size)))
+    if smoothing_bins > 0.0:
+        planes = np.stack(
+            [
+                cv2.GaussianBlur(plane, (0, 0), smoothing_bins, borderType=cv2.BORDER_REPLICATE)
+                for plane in planes
+            ]
+        )
+    total = planes.sum(axis=(1, 2), keepdims=True)
+    probability = (planes / np.maximum(total, 1.0)).reshape(counts.shape)
+    ratio = threshold / np.maximum(probability, threshold)
+    weights = (ratio**exponent).astype(np.float32)
+    return RarityModel(counts, probability, weights, threshold, exponent)
+
+
+def apply_rarity(
+    images: Any,
+    model: RarityModel,
+    *,
+    dtype: Any = "uint8",
+    valid: Any = None,
+    gains: Any = None,
+    out: Any = None,
+    device: Any = None,
+) -> Any:
+    """Return the weight of every pixel under a model that was measured before.
+
+    Args:
+        images: Shape (N, H, W, 3) RGB or (N, H, W) grey, as the model.
+        model: From `rarity_model`.
+        dtype: "uint8" (255 = weight 1; at least 1, so that every ray still counts) or "float32".
+        valid: User masks that multiply in.
+        gains: Shape (N, 3), factors on R, G and B of each image, as when measured.
+        out: Shape (N, H, W), written in place; new if None.
+        device: Where to run; by default where the images lie.
+
+    Returns:
+        Shape (N, H, W), uint8 or float32.
+
+    Raises:
+        ValueError: If the images are grey and the model is not, or the other way round.
+    """
+    stack = Stack(images, device_of(images, device))
+    if model.is_grey != (stack.channels == 1):
+        raise ValueError("model and images must both be grey or both RGB")
+    scalar = scalar_type(dtype)
+    if scalar is wp.uint16:
+        raise TypeError('dtype must be "uint8" or "float32", got "uint16"')
+    masks = valid_array(valid, stack)
+    weights = model.weights.reshape(-1)
+    if scalar is wp.uint8:
+        weights = np.maximum(np.rint(weights * 255.0), 1.0).astype(np.uint8)
+    table = wp.array(weights, dtype=scalar, device=stack.device)
+    shape = (stack.count, stack.height, stack.width)
+    result = output_array(out, shape, scalar, stack.device, "out")
+    target = pixel_view(result, scalar, (stack.count, stack.size))
+    tables = _tables(stack.device)
+    scales = pixel_scales(stack, gains)
+    kernel = _weight_kernel(stack.pixel, scalar)
+    for i in range(stack.count):
+        inputs = [scales[i], *tables, stack.pixels[i], masks[i % masks.shape[0]], table, target[i]]
+        launch(kernel, stack.size, inputs, stack.device)
+    return like_input(result, images) if out is None else out
+
+
+def rarity_weights(
+    images: Any,
+    *,
+    threshold: float | None = None,
+    exponent: float = 1.5,
+    smoothing_bins: float = 1.0,
+    dtype: Any = "uint8",
+    valid: Any = None,
+    gains: Any = None,
+    out: Any = None,
+    device: Any = None,
+) -> tuple[Any, RarityModel]:
+    """Weigh every pixel by how rare its colour is over the flight.
+
+    CIE Lab from sRGB; lightness in 10 levels; chroma (40 a / L, 40 b / L) in 40 x 40 bins over
+    +-48, L floored at 8; histogram of all images, smoothed, normalised for each lightness level;
+    weight = min(1, (p0 / p)^exponent).
+
+    Args:
+        images: Shape (N, H, W, 3) RGB or (N, H, W) grey; uint8, uint16 or float32 (0..1).
+        threshold: p0; see `rarity_model`.
+        exponent: Of the weight.
+        smoothing_bins: Sigma of the Gaussian that smooths the histogram [bins].
+        dtype: "uint8" (255 = weight 1; at least 1) or "float32".
+        valid: Shape (H, W) or (N, H, W), uint8 or bool: user masks (0 = ignore), which multiply in
+            and keep pixels out of the histogram.
+        gains: Shape (N, 3), factors on R, G and B of each image; see `kernels.levels`.
+        out: Shape (N, H, W), written in place; new if None.
+        device: Where to run; by default where the images lie.
+
+    Returns:
+        weights, shape (N, H, W), and the `RarityModel`.
+
+    Raises:
+        ValueError: If a parameter is out of range or shapes do not fit.
+        TypeError: If a type is not supported.
+    """
+    model = rarity_model(
+        images,
+        threshold=threshold,
+        exponent=exponent,
+        smoothing_bins=smoothing_bins,
+        valid=valid,
+        gains=gains,
+        device=device,
+    )
+    weights = apply_rarity(
+        images, model, dtype=dtype, valid=valid, gains=gains, out=out, device=device
+    )
+    return weights, model
+
+
+def _tables(device: Any) -> tuple[Any, Any]:
+    gamma = wp.array(gamma_table(GAMMA), dtype=float, device=device)
+    curve = wp.array(lab_curve_table(CURVE), dtype=float, device=device)
+    return gamma, curve

@@ -1,0 +1,220 @@
+"""Rays of a virtual camera, and where they meet the focal surface."""
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from hsvaos.camera import Camera, VirtualCamera
+from hsvaos.kernels.device import launch
+from hsvaos.kernels.lens import Lens, back_project, lens
+from hsvaos.surface import FocalPlane, FocalSurface, FocalTerrain
+
+wp.set_module_options({"enable_backward": False})
+
+_BISECTIONS = 20
+"""Halvings of a step that crossed the terrain: a step of 1 m ends below a micrometre."""
+
+
+@wp.struct
+class Eye:
+    """A virtual camera: its lens or ground grid, and rotation; its centre is the origin."""
+
+    lens: Lens
+    rotation: wp.mat33
+    gsd: float
+
+
+@wp.struct
+class Terrain:
+    """Placement of a height field relative to the virtual camera's centre [m]."""
+
+    north0: float
+    east0: float
+    spacing: float
+    top: float
+    bottom: float
+
+
+@wp.func
+def ray(pixel: int, width: int, eye: Eye) -> tuple[wp.vec3, wp.vec3]:
+    """Origin and direction of the ray of a pixel; the direction is zero where there is none."""
+    u = float(pixel % width)
+    v = float(pixel // width)
+    if eye.gsd > 0.0:
+        place = eye.rotation * wp.vec3(u * eye.gsd, v * eye.gsd, 0.0)
+        return place, eye.rotation * wp.vec3(0.0, 0.0, 1.0)
+    return wp.vec3(0.0, 0.0, 0.0), eye.rotation * back_project(wp.vec2(u, v), eye.lens)
+
+
+@wp.func
+def terrain_down(
+    north: float, east: float, terrain: Terrain, down: wp.array2d(dtype=float)
+) -> float:
+    """Bilinear down of the height field; NaN outside and over holes."""
+    y = (north - terrain.north0) / terrain.spacing
+    x = (east - terrain.east0) / terrain.spacing
+    rows, columns = down.shape[0], down.shape[1]
+    if not (x >= 0.0 and y >= 0.0 and x <= float(columns - 1) and y <= float(rows - 1)):
+        return wp.nan
+    i = wp.min(int(y), rows - 2)
+    j = wp.min(int(x), columns - 2)
+    fy = y - float(i)
+    fx = x - float(j)
+    upper = down[i, j] * (1.0 - fx) + down[i, j + 1] * fx
+    lower = down[i + 1, j] * (1.0 - fx) + down[i + 1, j + 1] * fx
+    return upper * (1.0 - fy) + lower * fy
+
+
+@wp.func
+def plane_hit(
+    origin: wp.vec3, direction: wp.vec3, point: wp.vec3, normal: wp.vec3, forward_only: int
+) -> wp.vec4:
+    """Intersection with a plane and 1, or 0 where the ray misses it."""
+    slope = wp.dot(normal, direction)
+    if wp.abs(slope) < 1.0e-9:
+        return wp.vec4(0.0, 0.0, 0.0, 0.0)
+    t = wp.dot(normal, point - origin) / slope
+    if forward_only != 0 and t <= 0.0:
+        return wp.vec4(0.0, 0.0, 0.0, 0.0)
+    hit = origin + t * direction
+    return wp.vec4(hit[0], hit[1], hit[2], 1.0)
+
+
+@wp.func
+def terrain_hit(
+    origin: wp.vec3,
+    direction: wp.vec3,
+    terrain: Terrain,
+    down: wp.array2d(dtype=float),
+    forward_only: int,
+) -> wp.vec4:
+    """First point where a falling ray goes below the height field, and 1; or 0 where it misses.
+
+    The ray is followed from the highest to the lowest level of the terrain in steps of at most
+    half a grid cell over the ground, and the step that crosses is halved. Rays that do not fall
+    (towards or above the horizon) meet no ground.
+    """
+    nothing = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    if direction[2] <= 1.0e-6:
+        return nothing
+    start = (terrain.top - origin[2]) / direction[2]
+    stop = (terrain.bottom - origin[2]) / direction[2]
+    if forward_only != 0:
+        start = wp.max(start, 0.0)
+    if stop < start:
+        return nothing
+    across = wp.sqrt(direction[0] * direction[0] + direction[1] * direction[1]) * (stop - start)
+    steps = wp.min(int(2.0 * across / terrain.spacing) + 1, 100000)
+    step = (stop - start) / float(steps)
+    before = start
+    above = int(0)
+    for k in range(steps + 1):
+        t = start + float(k) * step
+        place = origin + t * direction
+        surface = terrain_down(place[0], place[1], terrain, down)
+        if wp.isnan(surface):
+            above = int(0)
+        elif place[2] < surface:
+            above = int(1)
+            before = t
+        else:
+            if above == 0 and k > 0:
+                return nothing
+            low = before
+            high = t
+            for _ in range(_BISECTIONS):
+                middle = 0.5 * (low + high)
+                there = origin + middle * direction
+                if there[2] < terrain_down(there[0], there[1], terrain, down):
+                    low = middle
+                else:
+                    high = middle
+            hit = origin + high * direction
+            return wp.vec4(hit[0], hit[1], hit[2], 1.0)
+    return nothing
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def _plane_points(
+    offset: int,
+    band: int,
+    width: int,
+    eye: Eye,
+    point: wp.vec3,
+    normal: wp.vec3,
+    hits: wp.array(dtype=wp.vec4),
+):
+    i = wp.tid() + offset
+    origin, direction = ray(i, width, eye)
+    hits[i] = plane_hit(origin, direction, point, normal, int(eye.gsd == 0.0))
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def _terrain_points(
+    offset: int,
+    band: int,
+    width: int,
+    eye: Eye,
+    terrain: Terrain,
+    down: wp.array2d(dtype=float),
+    hits: wp.array(dtype=wp.vec4),
+):
+    i = wp.tid() + offset
+    origin, direction = ray(i, width, eye)
+    hits[i] = terrain_hit(origin, direction, terrain, down, int(eye.gsd == 0.0))
+
+
+def focal_points(
+    view: VirtualCamera, surface: FocalSurface, *, out: Any = None, device: Any = "cpu"
+) -> Any:
+    """Return where the ray of every pixel meets the focal surface.
+
+    Points are relative to the virtual camera's centre, so that float32 is exact to micrometres
+    however far the world's origin lies.
+
+    Args:
+        view: The virtual camera or ground grid.
+        surface: Plane of any orientation, or height field.
+        out: Warp array (H * W) of vec4, written in place; new if None.
+        device: Warp device.
+
+    Returns:
+        Warp array (H * W) of vec4: north, east, down minus those of the view's centre [m], and 1;
+        all 0 where the ray meets nothing.
+    """
+    size = view.width * view.height
+    hits = wp.empty(size, dtype=wp.vec4, device=device) if out is None else out
+    eye = Eye()
+    eye.lens = lens(view.camera or Camera.from_fov(1, 1, 90.0))
+    eye.rotation = wp.mat33(*view.world_from_camera[:3, :3].ravel())
+    eye.gsd = view.gsd_m
+    centre = view.world_from_camera[:3, 3]
+    if isinstance(surface, FocalPlane):
+        place = [view.width, eye, wp.vec3(*(surface.point - centre)), wp.vec3(*surface.normal)]
+        launch(_plane_points, size, [*place, hits], device)
+        return hits
+    terrain, heights = place_terrain(surface, centre, device)
+    launch(_terrain_points, size, [view.width, eye, terrain, heights, hits], device)
+    return hits
+
+
+def place_terrain(
+    surface: FocalTerrain, centre: NDArray[np.float64], device: Any
+) -> tuple[Terrain, Any]:
+    """Return a height field's placement and downs relative to a centre, for kernels.
+
+    Args:
+        surface: The height field.
+        centre: Shape (3,), world NED [m].
+        device: Warp device.
+    """
+    terrain = Terrain()
+    terrain.north0 = surface.north0_m - centre[0]
+    terrain.east0 = surface.east0_m - centre[1]
+    terrain.spacing = surface.spacing_m
+    terrain.top = surface.highest_m - centre[2] - 1e-3  # just above, so that the top is crossed
+    terrain.bottom = surface.lowest_m - centre[2] + 1e-3
+    heights = (surface.down_m.astype(np.float64) - centre[2]).astype(np.float32)
+    return terrain, wp.array(heights, dtype=float, device=device)
