@@ -108,6 +108,31 @@ class Forest:
     bush_mesh: tuple[int, ...]
     atlas: NDArray[np.uint8]
 
+    def cleared(self, north: float, east: float, radius_m: float) -> Forest:
+        """Return the forest without the trees that stand within a circle.
+
+        Args:
+            north: Middle of the clearing [m].
+            east: Middle of the clearing [m].
+            radius_m: Its radius [m].
+        """
+        old = self.instances
+        kept = [
+            k
+            for k in range(len(old.mesh))
+            if old.kind[k] != Kind.TREE
+            or np.hypot(old.place[k][0, 3] - north, old.place[k][1, 3] - east) >= radius_m
+        ]
+        instances = Instances(
+            list(old.meshes),
+            [old.mesh[k] for k in kept],
+            [old.place[k] for k in kept],
+            [old.tint[k] for k in kept],
+            [old.kind[k] for k in kept],
+        )
+        away = np.hypot(self.stems[:, 0] - north, self.stems[:, 1] - east) >= radius_m
+        return replace(self, instances=instances, stems=self.stems[away])
+
     def lighting(self) -> Lighting:
         """Return the sun of the settings."""
         s = self.settings

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -164,7 +165,8 @@ class Scene:
         self._radius = np.array([s[1] for s in spheres])[self._mesh] * stretch
         self._sun_size = sun_map_size
         self._sky_size = sky_map_size
-        self._make_maps()
+        self._light: Any = None
+        self._lock = threading.Lock()
 
     def _array(self, values: NDArray[Any], dtype: Any) -> Any:
         return wp.array(values, dtype=dtype, device=self.device)
@@ -250,6 +252,12 @@ class Scene:
         self._sky_depth = sky
         self._light = self._make_light()
 
+    def prepare(self) -> None:
+        """Draw the shadow maps now; the first `radiance` does it otherwise."""
+        with self._lock:
+            if self._light is None:
+                self._make_maps()
+
     def _make_light(self) -> Any:
         light = shade.Light()
         season, cloud = self.season, self.lighting.cloud
@@ -330,6 +338,7 @@ class Scene:
         Returns:
             Shape (H, W, 4), float32: linear R, G, B and surface temperature [deg C].
         """
+        self.prepare()
         pose = np.asarray(world_from_camera, dtype=np.float64)
         camera_from_world = np.linalg.inv(pose)
         moved = _compose(camera_from_world[:3], self._place).astype(np.float32)

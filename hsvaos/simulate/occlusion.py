@@ -1,0 +1,305 @@
+"""How much of the ground, and of people, the photos see; forests that reach a wanted share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hsvaos.camera import Camera
+from hsvaos.kernels.device import threads
+from hsvaos.simulate.forest import Forest, ForestSettings, grow_forest
+from hsvaos.simulate.scene import Kind, Scene, depths, instance_numbers, ray_table
+
+Array = NDArray[np.float64]
+
+CLASSES: dict[str, tuple[float, float]] = {
+    "full": (0.0, 0.10),
+    "half": (0.25, 0.75),
+    "bush": (0.0, 0.60),
+    "open": (0.85, 1.0),
+}
+"""Occlusion classes: range of the mean visible fraction of the person's pixels."""
+
+_ABOVE_GROUND_M = 0.45
+
+
+def label(visible: float, under_bush: bool) -> str:
+    """Return the occlusion class of a measured mean visible fraction.
+
+    Between the ranges of "full" and "open", everything counts as "half".
+    """
+    if under_bush and visible <= CLASSES["bush"][1]:
+        return "bush"
+    if visible <= CLASSES["full"][1]:
+        return "full"
+    return "open" if visible >= CLASSES["open"][0] else "half"
+
+
+@dataclass(frozen=True, eq=False)
+class VisibilityMap:
+    """Share of the photos' pixels on each piece of ground that really show it.
+
+    Args:
+        half_m: The map covers [-half_m, half_m] both ways [m].
+        cell_m: Side of a cell [m].
+        visible: Shape (n, n), share seen, rows to the north; NaN where no photo looks.
+    """
+
+    half_m: float
+    cell_m: float
+    visible: Array
+
+    @property
+    def mean(self) -> float:
+        """Mean over the map."""
+        return float(np.nanmean(self.visible))
+
+
+def _workers(device: str) -> int:
+    return min(threads(), 4) if str(device) == "cpu" else 1
+
+
+def visibility_map(
+    scene: Scene, camera: Camera, poses: Array, half_m: float, cell_m: float = 0.25
+) -> VisibilityMap:
+    """Measure which ground the photos see, from their key buffers at low resolution.
+
+    Args:
+        scene: The forest.
+        camera: Of the photos; it is scaled to 256 pixels.
+        poses: Shape (N, 4, 4), world_from_camera.
+        half_m: Half the side of the square to map [m].
+        cell_m: Side of a cell [m].
+    """
+    small = camera.scaled(256, max(round(256 * camera.height / camera.width), 1))
+    rays = ray_table(small, scene.device)
+    lines = np.concatenate([rays.numpy(), np.ones((rays.shape[0], 1))], axis=1)
+    side = int(np.ceil(2.0 * half_m / cell_m))
+
+    def one(pose: Array) -> tuple[Array, Array]:
+        depth = depths(scene.keys(small, pose, rays), small).reshape(-1)
+        way = lines @ pose[:3, :3].T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            to_ground = -pose[2, 3] / way[:, 2]
+        place = pose[:2, 3] + way[:, :2] * to_ground[:, None]
+        cell = np.floor((place + half_m) / cell_m).astype(np.int64)
+        inside = (to_ground > 0.0) & (cell >= 0).all(axis=1) & (cell < side).all(axis=1)
+        # What is hit more than knee-high above the mean ground hides it.
+        seen = (pose[2, 3] + way[:, 2] * depth) > -_ABOVE_GROUND_M
+        index = cell[:, 0] * side + cell[:, 1]
+        return (
+            np.bincount(index[inside], minlength=side * side).astype(np.float64),
+            np.bincount(index[inside & seen], minlength=side * side).astype(np.float64),
+        )
+
+    total, visible = np.zeros(side * side), np.zeros(side * side)
+    with ThreadPoolExecutor(_workers(scene.device)) as pool:
+        for all_pixels, seen_pixels in pool.map(one, poses):
+            total += all_pixels
+            visible += seen_pixels
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = visible / total
+    return VisibilityMap(half_m, cell_m, share.reshape(side, side))
+
+
+def closure(scene: Scene, half_m: float, cell_m: float = 0.2) -> float:
+    """Return the canopy closure: share of the plan view covered by trees above 2 m.
+
+    Args:
+        scene: The forest.
+        half_m: Half the side of the square to look at [m].
+        cell_m: Side of a cell [m].
+    """
+    side = int(np.ceil(2.0 * half_m / cell_m))
+    frame = np.array(
+        [
+            [0.0, 1.0 / cell_m, 0.0, side / 2],
+            [1.0 / cell_m, 0.0, 0.0, side / 2],
+            [0.0, 0.0, 1.0, 0.0],
+        ]
+    )
+    depth = scene.depth_map(frame, side, side, kinds=[int(Kind.TREE)]).numpy()
+    return float(np.mean(depth < -2.0))
+
+
+def person_pixels(
+    scene: Scene, camera: Camera, pose: Array, rays: object, keys: object, people: Sequence[int]
+) -> list[tuple[int, int]]:
+    """Count the pixels of people in one photo.
+
+    Args:
+        scene: With the people in it.
+        camera: Of the photo.
+        pose: Shape (4, 4), world_from_camera.
+        rays: From `ray_table`.
+        keys: Key buffer of the photo.
+        people: Instance number of each person.
+
+    Returns:
+        For each person (pixels that show it, pixels that would without anything else).
+    """
+    shown = np.bincount(
+        instance_numbers(keys, camera).reshape(-1) + 1, minlength=len(scene.kind) + 1
+    )
+    alone_keys = scene.keys(camera, pose, rays, only=list(people))
+    alone = np.bincount(
+        instance_numbers(alone_keys, camera).reshape(-1) + 1, minlength=len(scene.kind) + 1
+    )
+    return [(int(shown[k + 1]), int(alone[k + 1])) for k in people]
+
+
+def mean_fraction(counts: Sequence[tuple[int, int]], least: int = 12) -> float | None:
+    """Return the mean over photos of shown / alone, for photos with at least `least` pixels."""
+    shares = [shown / alone for shown, alone in counts if alone >= least]
+    return float(np.mean(shares)) if shares else None
+
+
+def measure_people(
+    scene: Scene, camera: Camera, poses: Array, people: Sequence[int], size: int = 512
+) -> list[float | None]:
+    """Return the mean visible fraction of each person over some photos of another size.
+
+    Args:
+        scene: With the people in it.
+        camera: Of the photos; it is scaled to `size` pixels.
+        poses: Shape (N, 4, 4), world_from_camera.
+        people: Instance number of each person.
+        size: Width of the photos to measure in [px].
+    """
+    small = camera.scaled(size, max(round(size * camera.height / camera.width), 1))
+    rays = ray_table(small, scene.device)
+
+    def one(pose: Array) -> list[tuple[int, int]]:
+        keys = scene.keys(small, pose, rays)
+        return person_pixels(scene, small, pose, rays, keys, people)
+
+    with ThreadPoolExecutor(_workers(scene.device)) as pool:
+        counts = list(pool.map(one, poses))
+    return [mean_fraction([c[k] for c in counts]) for k in range(len(people))]
+
+
+def _bisect(
+    measure: Callable[[float], float], low: float, high: float, wanted: float, tolerance: float
+) -> tuple[float, float] | None:
+    """Return knob and value of a falling function within tolerance of wanted; None if outside."""
+    at_low, at_high = measure(low), measure(high)
+    if abs(at_low - wanted) <= tolerance:
+        return low, at_low
+    if abs(at_high - wanted) <= tolerance:
+        return high, at_high
+    if not at_high < wanted < at_low:
+        return None
+    best = (low, at_low)
+    for _ in range(10):
+        middle = float(np.sqrt(low * high))
+        value = measure(middle)
+        if abs(value - wanted) < abs(best[1] - wanted):
+            best = (middle, value)
+        if abs(value - wanted) <= tolerance:
+            break
+        low, high = (middle, high) if value > wanted else (low, middle)
+    return best
+
+
+def _plain_scene(settings: ForestSettings, device: str) -> tuple[Forest, Scene]:
+    forest = grow_forest(settings)
+    return forest, forest.scene(device=device)
+
+
+def solve_visible(
+    settings: ForestSettings,
+    wanted: float,
+    camera: Camera,
+    poses: Array,
+    half_m: float,
+    *,
+    device: str = "cpu",
+    tolerance: float = 0.01,
+) -> tuple[ForestSettings, float]:
+    """Change the leaf density until the photos see a wanted share of the ground.
+
+    Args:
+        settings: The forest; its leaf density is the knob.
+        wanted: Mean visible fraction of the ground, between 0 and 1.
+        camera: Of the photos.
+        poses: Shape (N, 4, 4); 25 of them, evenly chosen, are looked at.
+        half_m: Half the side of the square that counts [m].
+        device: Warp device.
+        tolerance: How near is near enough.
+
+    Returns:
+        The settings and the measured share.
+
+    Raises:
+        ValueError: If no leaf density reaches it.
+    """
+    if not 0.0 < wanted < 1.0:
+        raise ValueError(f"visible must lie between 0 and 1, got {wanted!r}")
+    some = poses[np.unique(np.linspace(0, len(poses) - 1, 25).round().astype(int))]
+
+    def measure(leaf_density: float) -> float:
+        _, scene = _plain_scene(settings.replace(leaf_density=leaf_density), device)
+        return visibility_map(scene, camera, some, half_m).mean
+
+    found = _bisect(measure, 0.1, 4.0, wanted, tolerance)
+    if found is None or abs(found[1] - wanted) > 3.0 * tolerance:
+        raise ValueError(
+            f"a visible fraction of {wanted:g} cannot be reached with {settings.density:g} stems "
+            f"a hectare: leaf densities from 0.1 to 4 give {measure(0.1):.3f} to "
+            f"{measure(4.0):.3f}; change density or glades"
+        )
+    return settings.replace(leaf_density=found[0]), found[1]
+
+
+def solve_closure(
+    settings: ForestSettings,
+    wanted: float,
+    half_m: float,
+    *,
+    device: str = "cpu",
+    tolerance: float = 0.01,
+) -> tuple[ForestSettings, float]:
+    """Change the number of stems until the canopy closes to a wanted share.
+
+    Args:
+        settings: The forest; its density is the knob.
+        wanted: Canopy closure, between 0 and 1.
+        half_m: Half the side of the square that counts [m].
+        device: Warp device.
+        tolerance: How near is near enough.
+
+    Returns:
+        The settings and the measured closure.
+
+    Raises:
+        ValueError: If no density reaches it.
+    """
+    if not 0.0 < wanted < 1.0:
+        raise ValueError(f"closure must lie between 0 and 1, got {wanted!r}")
+
+    def measure(density: float) -> float:
+        _, scene = _plain_scene(settings.replace(density=density), device)
+        return 1.0 - closure(scene, half_m)
+
+    low, high = 20.0, 900.0
+    found = _bisect(measure, low, high, 1.0 - wanted, tolerance)
+    if found is None or abs(found[1] - (1.0 - wanted)) > 3.0 * tolerance:
+        raise ValueError(
+            f"a canopy closure of {wanted:g} cannot be reached: densities from {low:g} to {high:g} "
+            f"stems a hectare give {1.0 - measure(low):.2f} to {1.0 - measure(high):.2f}; change "
+            f"glades ({settings.glades:g})"
+        )
+    return settings.replace(density=found[0]), 1.0 - found[1]
+
+
+def smooth(chart: VisibilityMap, sigma_m: float) -> Array:
+    """Return the map averaged over about the size of a person; NaN cells count as seen."""
+    filled = np.where(np.isnan(chart.visible), 1.0, chart.visible)
+    return np.asarray(
+        cv2.GaussianBlur(filled, (0, 0), sigma_m / chart.cell_m, borderType=cv2.BORDER_REFLECT)
+    )
