@@ -13,7 +13,7 @@ from hsvaos.kernels.device import launch
 from hsvaos.kernels.lens import Lens, lens, project
 from hsvaos.kernels.pixels import (
     Stack,
-    as_vec3,
+    as_value,
     device_of,
     like_input,
     output_array,
@@ -34,42 +34,6 @@ class Pose:
 
     rotation: wp.mat33
     centre: wp.vec3
-
-
-@wp.func
-def as_value(pixel: wp.vec3ub) -> wp.vec3:
-    """Pixel as what is summed up: a vector for RGB."""
-    return as_vec3(pixel)
-
-
-@wp.func
-def as_value(pixel: wp.vec3us) -> wp.vec3:  # noqa: F811 - Warp overloads by type
-    """Pixel as what is summed up: a vector for RGB."""
-    return as_vec3(pixel)
-
-
-@wp.func
-def as_value(pixel: wp.vec3) -> wp.vec3:  # noqa: F811
-    """Pixel as what is summed up: a vector for RGB."""
-    return pixel
-
-
-@wp.func
-def as_value(pixel: wp.uint8) -> float:  # noqa: F811
-    """Pixel as what is summed up: a number for grey."""
-    return float(pixel)
-
-
-@wp.func
-def as_value(pixel: wp.uint16) -> float:  # noqa: F811
-    """Pixel as what is summed up: a number for grey."""
-    return float(pixel)
-
-
-@wp.func
-def as_value(pixel: float) -> float:  # noqa: F811
-    """Pixel as what is summed up: a number for grey."""
-    return pixel
 
 
 @lru_cache
