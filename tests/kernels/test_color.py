@@ -40,8 +40,8 @@ def test_hsv_equals_opencv(device: str, seed: int) -> None:
         assert hue_error(ours[..., 0], theirs[..., 0]).max() < 2e-3
         np.testing.assert_allclose(ours[..., 1:], theirs[..., 1:], atol=1e-5)
         eight_bit = cv2.cvtColor(image, cv2.COLOR_RGB2HSV).astype(float)
-        # OpenCV's 8-bit hue has steps of 2 degrees and divides by a table in fixed point
-        assert hue_error(ours[..., 0], 2.0 * eight_bit[..., 0]).max() <= 1.2
+        # OpenCV: 8-bit hue has steps of 2 deg, and its table of quotients adds up to 0.31
+        assert hue_error(ours[..., 0], 2.0 * eight_bit[..., 0]).max() <= 1.32
         assert np.abs(255.0 * ours[..., 1] - eight_bit[..., 1]).max() <= 1.01
         assert np.abs(255.0 * ours[..., 2] - eight_bit[..., 2]).max() <= 0.01
 
