@@ -227,7 +227,7 @@ def _origin(places: list[_Place | None]) -> tuple[Origin, bool, list[str]]:
         note = "no height above sea level in the photos: origin height 0 stands for take-off"
         return Origin(first.lat, first.lon, 0.0), True, [note]
     heights = [place.absolute for place in known if place.absolute is not None]
-    note = "no height above take-off in the photos: origin at the height of the lowest photo"
+    note = "no height above take-off in the photos: down = 0 at the lowest photo"
     return Origin(first.lat, first.lon, min(heights, default=0.0)), False, [note]
 
 

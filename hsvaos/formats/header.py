@@ -55,7 +55,7 @@ def read_header(data: bytes) -> ImageHeader | None:
             return ImageHeader(width, height, 1 if colour in (0, 4) else 3)
         if data.startswith(TIFF_STARTS):
             return _tiff_header(data)
-    except struct.error:
+    except (struct.error, ValueError):
         pass
     return None
 
@@ -73,7 +73,7 @@ def fault(data: bytes) -> str | None:
             return None if _png_ends(data) else "truncated PNG: no IEND chunk"
         if data.startswith(TIFF_STARTS):
             return None if _tiff_ends(data) else "truncated TIFF: its picture lies beyond the end"
-    except struct.error:
+    except (struct.error, ValueError):
         return "truncated image: its header ends too early"
     return None
 
