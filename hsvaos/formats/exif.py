@@ -19,7 +19,8 @@ _XMP_START = b"http://ns.adobe.com/xap/1.0/\0"
 _START_BYTES = 1 << 18
 """Read first; holds the tags of most JPEG photos."""
 
-_ATTRIBUTE = re.compile(r"""[\w.-]+:([\w.-]+)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
+# Looking back keeps a search through a long word, such as an embedded preview, linear.
+_ATTRIBUTE = re.compile(r"""(?<![\w.-])[\w.-]+:([\w.-]+)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 _ELEMENT = re.compile(r"<([\w.-]+):([\w.-]+)[^<>]*>([^<>]*)</\1:\2\s*>")
 
 

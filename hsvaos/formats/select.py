@@ -113,7 +113,10 @@ def select_frames(
 
     counts = Counter(entry.name for entry in posed)
     leave_out("listed more than once", [n for n, c in counts.items() for _ in range(c - 1)])
-    entries = list({entry.name: entry for entry in reversed(posed)}.values())[::-1]
+    first: dict[str, PosedName] = {}
+    for entry in posed:
+        first.setdefault(entry.name, entry)
+    entries = list(first.values())
     bad = [entry for entry in entries if entry.problem]
     leave_out("pose not usable", [e.name for e in bad], bad[0].problem if bad else None)
     if bad:

@@ -136,7 +136,7 @@ def geotiff(tmp_path):
     origin = Origin(46.8426, -91.9946, 120.0)
     to_utm = pyproj.Transformer.from_crs(4326, 32615, always_xy=True)
     x0, y0 = to_utm.transform(origin.lon_deg, origin.lat_deg)
-    transform = rasterio.transform.from_origin(x0 - 100, y0 + 100, 2.0, 2.0)
+    transform = rasterio.Affine(2.0, 0.0, x0 - 100, 0.0, -2.0, y0 + 100)
     rows, columns = np.mgrid[0:100, 0:110]
     x, y = pixel_places(transform, rows, columns)
     lon, lat = to_utm.transform(x, y, direction="INVERSE")
