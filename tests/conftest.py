@@ -4,6 +4,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# A busy machine is slow at times: that is no failure.
+settings.register_profile("hsvaos", deadline=None)
+settings.load_profile("hsvaos")
 
 SHARED = Path(__file__).parents[1].parent / "shared" / "data"
 

@@ -133,7 +133,7 @@ def _read_geotiff(path: Path, origin: Origin) -> FocalTerrain:
     # Nodes are placed at the middle height: by another height they would move sideways by only
     # (height difference) x (distance) / (radius of the Earth), millimetres over a flight.
     down = np.empty((north.size, east.size), dtype=np.float32)
-    to_pixel = np.linalg.inv(from_pixel)
+    to_pixel: Array = np.linalg.inv(from_pixel).astype(np.float64)
     for i, n in enumerate(north):
         ned = np.stack(
             [np.full(east.size, n), east, np.full(east.size, origin.height_m - middle)], axis=1

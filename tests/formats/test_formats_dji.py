@@ -188,12 +188,20 @@ def test_a_folder_of_photos(tmp_path):
         more = {"AbsoluteAltitude": str(158.5 + float(high)), "RelativeAltitude": high}
         photo(tmp_path / f"{i}.jpg", DOWN | HERE | more, exif_block(second=second))
     photo(tmp_path / "silent.jpg", {})
+    cv2.imwrite(str(tmp_path / "mask.png"), NOISE[..., 0])
     flight = hsvaos.open_flight(tmp_path)
     assert (flight.format, flight.ground_down_m) == ("dji", 0.0)
     assert [(f.name, f.t_s) for f in flight.frames] == [("1.jpg", 0.0), ("0.jpg", 10.0)]
     assert flight.origin == hsvaos.Origin(46.84, -91.99, 158.5)
     np.testing.assert_allclose(flight.poses[:, :3, 3], [[0, 0, -40], [0, 0, -41]], atol=1e-6)
-    for what in ("1 photo left out", "level with take-off", "35 mm equivalent", "without RTK"):
+    assert flight.mask == tmp_path / "mask.png"
+    for what in (
+        "mask.png found",
+        "1 photo left out",
+        "level with take-off",
+        "35 mm equivalent",
+        "without RTK",
+    ):
         assert any(what in note for note in flight.notes), what
     assert hsvaos.open_flight(tmp_path, ground_down_m=2.0).ground_down_m == 2.0
     assert hsvaos.open_flight(tmp_path, fov_deg=60).camera == hsvaos.Camera.from_fov(40, 30, 60)

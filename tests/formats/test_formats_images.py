@@ -101,6 +101,7 @@ def test_truncated_and_unreadable_are_named(tmp_path):
     for name, content, what in (
         ("cut.jpg", JPEGS["baseline"][:-500], "truncated JPEG"),
         ("cut.png", IMAGES["png"][:-20], "truncated PNG"),
+        ("bits.png", IMAGES["png"][:900] + b"\0\0\0" + IMAGES["png"][903:], "damaged PNG.*IDAT"),
         ("text.jpg", b"hello, not an image", "do not decode"),
         ("empty.jpg", b"", "empty file"),
         ("double.tiff", encoded(".tiff", NOISE.astype(np.float64)), "float64"),

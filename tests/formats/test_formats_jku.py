@@ -35,7 +35,7 @@ def test_points_land_where_their_matrix_puts_them(tmp_path):
     matrix = m3x4(0)
     numbers_as_text = [[f"{value:.17g}" for value in row] for row in matrix]
     flight = hsvaos.open_flight(write(tmp_path, ["a.tiff"], [numbers_as_text]), fov_deg=50)
-    points = np.random.default_rng(1).uniform(-1, 1, (20, 3)) + (0, 0, 20)  # x east, y south
+    points = np.random.default_rng(1).uniform((-1, -1, 19), (1, 1, 21), (20, 3))  # x east, y south
     in_camera = points @ matrix[:, :3].T + matrix[:, 3]
     expected = 4 / np.tan(np.radians(25)) * in_camera[:, :2] / in_camera[:, 2:] + 3.5
     north_east_down = np.stack([-points[:, 1], points[:, 0], points[:, 2]], axis=1)
