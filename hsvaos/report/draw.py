@@ -82,7 +82,7 @@ def draw_scale_and_north(picture: Rgba, gsd_m: float) -> Rgba:
     """
     out = picture.copy()
     height, width = out.shape[:2]
-    unit = max(1, round(max(height, width) / 900))
+    unit = max(1, round(max(height, width) / 600))
     margin = 16 * unit
     if min(height, width) < 6 * margin:  # marks would hide what they explain
         return out
@@ -142,7 +142,8 @@ def _twice(stroke: Callable[[Colour, int], None], unit: int) -> None:
 
 
 def _write(out: Rgba, text: str, place: tuple[int, int], unit: int) -> None:
-    def stroke(colour: Colour, extra: int) -> None:
-        cv2.putText(out, text, place, _FONT, 0.5 * unit, colour, unit + extra, cv2.LINE_AA)
-
-    _twice(stroke, unit)
+    """Write white with a black edge, made of shifted copies: fonts ignore thickness in OpenCV 5."""
+    around = [(x, y) for x in (-unit, 0, unit) for y in (-unit, 0, unit) if (x, y) != (0, 0)]
+    for (x, y), colour in [*((shift, _BLACK) for shift in around), ((0, 0), _WHITE)]:
+        at = (place[0] + x, place[1] + y)
+        cv2.putText(out, text, at, _FONT, 0.5 * unit, colour, unit, cv2.LINE_AA)

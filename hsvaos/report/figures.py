@@ -18,6 +18,15 @@ STRETCH_PERCENT = (2.0, 99.9)
 """Percentiles that become black and white. The upper one is close to 100 because a person may be
 the brightest thing in the picture and must not be clipped away."""
 
+RARITY_PERCENT = 99.8
+"""Percentile of a rarity map that gets the last colour: rare places are few, and must shine."""
+
+_MIDTONE = 0.3
+"""Shade that the median pixel is lifted to where a few bright things leave the rest in the dark."""
+
+_STRONGEST_GAMMA = 0.45
+"""Beyond this the lift would show noise instead of shadows."""
+
 _SAMPLE_LIMIT = 2_000_000
 """Percentiles of more pixels than this are taken from a regular subset."""
 
@@ -99,9 +108,10 @@ def stretch(
 ) -> Rgba:
     """Stretch the contrast of an image robustly for the eye.
 
-    One offset and one gain for all channels leave the hue of every pixel as it is; a pixel that
-    becomes too bright is scaled down as a whole instead of clipped channel by channel, which keeps
-    hue and saturation.
+    One offset and one gain for all channels leave the hue of every pixel as it is. Then dark
+    pictures are lifted by v^(gamma), v the brightest channel, 0.45 <= gamma <= 1 so chosen that the
+    median becomes 0.3; a pixel that is too bright is scaled down. Both change all channels of a
+    pixel by one factor, which keeps hue and saturation.
 
     Args:
         image: Shape (H, W), (H, W, 1) or (H, W, 3), any real dtype.
@@ -119,8 +129,13 @@ def stretch(
     else:  # one single value everywhere: a calm grey says so better than black or noise
         pixels = np.full_like(pixels, 0.5)
     pixels = np.nan_to_num(pixels, nan=0.0, posinf=1.0, neginf=0.0)
-    pixels /= np.maximum(pixels.max(axis=-1, keepdims=True), 1.0)
-    return _rgba(np.clip(pixels, 0.0, 1.0) * 255.0, valid)
+    pixels = np.maximum(pixels, 0.0)
+    value = pixels.max(axis=-1, keepdims=True)
+    middle, _ = percentiles(value[valid], (50.0, 50.0))
+    gamma = np.log(_MIDTONE) / np.log(middle) if 0.0 < middle < 1.0 else 1.0
+    lifted = np.minimum(value, 1.0) ** np.float32(np.clip(gamma, _STRONGEST_GAMMA, 1.0))
+    pixels *= lifted / np.maximum(value, 1e-6)
+    return _rgba(pixels * 255.0, valid)
 
 
 def photo_picture(photo: NDArray[Any]) -> Rgba:
@@ -141,7 +156,8 @@ def masked_photo(photo: Rgba, weights: NDArray[np.uint8]) -> Rgba:
         photo: Shape (H, W, 4), display picture.
         weights: Shape (H, W), 255 = kept in full.
     """
-    share = weights[..., None].astype(np.float32) / 255.0
+    # The root makes small weights visible; a mask of 0 and 255 stays as it is.
+    share = np.sqrt(weights[..., None].astype(np.float32) / 255.0)
     faded = np.array([22.0, 28.0, 44.0], np.float32)
     return _rgba(photo[..., :3] * share + faded * (1.0 - share), photo[..., 3] > 0)
 
@@ -175,7 +191,7 @@ def colour_map(
 
 def rarity_limits(rarity: NDArray[Any], valid: NDArray[np.bool_]) -> tuple[float, float]:
     """Return the range of a rarity map to show: from zero to all but its rarest pixels."""
-    return 0.0, percentiles(rarity[valid], (0.0, STRETCH_PERCENT[1]))[1]
+    return 0.0, percentiles(rarity[valid], (0.0, RARITY_PERCENT))[1]
 
 
 def footprint_limits(footprint: NDArray[Any]) -> tuple[float, float]:

@@ -140,8 +140,8 @@ def _compare(panels: list[Panel], best: str) -> str:
     return (
         '<section class="compare" hidden><h2>Before and after</h2>'
         f'<div class="stack" style="aspect-ratio:{width}/{height};--ratio:{width / height:.4f}">'
-        '<img class="under" alt="After"><svg class="marks"><use href="#marks"/></svg>'
-        '<img class="over" alt="Before: the single photo"><div class="knob"></div>'
+        '<img class="under" alt="After"><img class="over" alt="Before: the single photo">'
+        '<svg class="marks"><use href="#marks"/></svg><div class="knob"></div>'
         '<input type="range" min="0" max="100" value="50" step="0.1" '
         'aria-label="Move between the single photo and the picture below it"></div>'
         '<div class="controls"><span>Left: single photo</span>'

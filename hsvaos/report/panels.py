@@ -19,22 +19,22 @@ _UNSEEN = "Hatched: nothing was seen there, which does not mean that nothing is 
 
 _INTEGRALS = {
     "plain": (
-        "All photos, averaged",
+        "All photos, averaged (plain integral)",
         "All photos laid over each other, focused on the ground. Leaves and branches are at other "
         "heights and blur away; what lies on the ground stays sharp. " + _UNSEEN,
     ),
     "hue": (
-        "Without the forest's colours",
+        "Without the forest's colours (hue-masked integral)",
         "The same, after the common hue of the forest was taken out of every photo. What has "
         "another colour than the trees stands out. " + _UNSEEN,
     ),
     "rarity": (
-        "Rare colours count more",
+        "Rare colours count more (rarity-weighted integral)",
         "The same, but every pixel counts by how rare its colour is in this flight: clothes are "
         "rare, leaves are not. " + _UNSEEN,
     ),
     "anomaly": (
-        "Unusual pixels only",
+        "Unusual pixels only (anomaly-masked integral)",
         "The same, of those pixels only whose colour is unusual in its photo. " + _UNSEEN,
     ),
 }
@@ -117,7 +117,9 @@ def _photo_panels(result: Result, photo: Rgba) -> list[Panel]:
     panels.append(Panel("mask", "What the mask keeps", text, masked, False))
     if result.photo_rarity is not None:
         rarity = _shrunk(result.photo_rarity, small)
-        painted = figures.colour_map(rarity, small[..., 3] > 0, 0.0, 255.0, "inferno")
+        whole = small[..., 3] > 0
+        low, high = figures.rarity_limits(rarity, whole)
+        painted = figures.colour_map(rarity, whole, low, high, "inferno")
         text = "How rare each colour of the single photo is in the whole flight. Bright is rare."
         legend = ("inferno", "common", "rare")
         panels.append(
@@ -143,7 +145,7 @@ def _map_panels(result: Result) -> list[Panel]:
             "first: a person, but also a car, a tarp or a flower bed. " + _UNSEEN
         )
         picture = _dressed(result, figures.fit(picture, LONGEST_PX))
-        legend = ("inferno", "common", f"rare ({high:.2g})")
+        legend = ("inferno", "common (0)", f"rare ({high:.2g})")
         panels.append(Panel("rarity-map", "Rarity map", text, picture, True, legend))
     low, high = figures.footprint_limits(main.footprint)
     picture = figures.colour_map(

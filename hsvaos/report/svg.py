@@ -110,7 +110,7 @@ def hue_histogram(
     bins, width, height = len(histogram), 360.0, 120.0
     top = float(np.max(histogram, initial=0.0)) or 1.0
     step = width / bins
-    parts = ['<svg class="hue" viewBox="-14 -20 388 164" role="img" aria-label="Histogram of hue">']
+    parts = ['<svg class="hue" viewBox="-24 -20 408 164" role="img" aria-label="Histogram of hue">']
     cuts: list[tuple[float, str]] = []
     if mean_deg is not None and half_width_deg is not None and half_width_deg < 180.0:
         cuts = [((mean_deg + s * half_width_deg) % 360.0, "cut") for s in (-1.0, 1.0)]

@@ -44,7 +44,7 @@ def write_result(
     Args:
         result: The run.
         folder: Where to; made if missing.
-        want_geotiff: True: a GeoTIFF of the ground grid is wanted, and an error if it cannot be made.
+        want_geotiff: True: a GeoTIFF of the ground grid is wanted; an error if it cannot be made.
             False: none. None: one if possible, else a note in the report where it is missing.
 
     Returns:
