@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from hsvaos.report import figures
 from hsvaos.report.draw import draw_scale_and_north
@@ -130,7 +132,8 @@ def _photo_panels(result: Result, photo: Rgba) -> list[Panel]:
 
 def _integral_panel(result: Result, name: str, image: Float, footprint: Float) -> Panel:
     title, caption = _INTEGRALS[name]
-    picture = figures.fit(figures.stretch(image, footprint), LONGEST_PX)
+    small, coverage = figures.shrink(image, figures.covered(footprint), LONGEST_PX)
+    picture = figures.faded(figures.stretch(small, coverage), coverage)
     return Panel(name, title, caption, _dressed(result, picture), True)
 
 
@@ -139,25 +142,29 @@ def _map_panels(result: Result) -> list[Panel]:
     if main.rarity_map is not None:
         seen = figures.covered(main.footprint if main.rays is None else main.rays)
         low, high = figures.rarity_limits(main.rarity_map, seen)
-        picture = figures.colour_map(main.rarity_map, seen, low, high, "inferno")
+        picture = _painted(main.rarity_map, seen, low, high, "inferno")
         text = (
             "Where the photos agree on an unusual colour on the ground. Look at the bright spots "
             "first: a person, but also a car, a tarp or a flower bed. " + _UNSEEN
         )
-        picture = _dressed(result, figures.fit(picture, LONGEST_PX))
+        picture = _dressed(result, picture)
         legend = ("inferno", "common (0)", f"rare ({high:.2g})")
         panels.append(Panel("rarity-map", "Rarity map", text, picture, True, legend))
     low, high = figures.footprint_limits(main.footprint)
-    picture = figures.colour_map(
-        main.footprint, figures.covered(main.footprint), low, high, "viridis"
-    )
+    picture = _painted(main.footprint, figures.covered(main.footprint), low, high, "viridis")
     text = (
         "How much of the picture's evidence lies on each spot, in photos. Where it is dark the "
         "pictures above rest on little: do not trust them there. " + _UNSEEN
     )
-    picture = _dressed(result, figures.fit(picture, LONGEST_PX))
+    picture = _dressed(result, picture)
     legend = ("viridis", "0 photos", f"{high:.3g} photos")
     return [*panels, Panel("footprint", "Footprint", text, picture, True, legend)]
+
+
+def _painted(values: Float, valid: NDArray[np.bool_], low: float, high: float, name: str) -> Rgba:
+    small, coverage = figures.shrink(values, valid, LONGEST_PX)
+    picture = figures.colour_map(small[..., 0], coverage > 0, low, high, name)
+    return figures.faded(picture, coverage)
 
 
 def _dressed(result: Result, picture: Rgba) -> Rgba:
@@ -168,9 +175,7 @@ def _dressed(result: Result, picture: Rgba) -> Rgba:
     return draw_scale_and_north(picture, view.gsd_m * view.width / picture.shape[1])
 
 
-def _shrunk(weights: np.ndarray[tuple[int, ...], np.dtype[np.uint8]], like: Rgba) -> Rgba:
+def _shrunk(weights: NDArray[np.uint8], like: Rgba) -> Rgba:
     """Bring weights, shape (H, W), to the size of a picture."""
-    import cv2
-
     height, width = like.shape[:2]
     return np.asarray(cv2.resize(weights, (width, height), interpolation=cv2.INTER_AREA), np.uint8)

@@ -82,6 +82,22 @@ def test_fit_grows_no_dark_rim_around_holes() -> None:
     assert figures.fit(picture, 90) is picture
 
 
+def test_shrink_averages_only_what_was_seen() -> None:
+    values = np.zeros((60, 90, 2), np.float32)
+    valid = np.zeros((60, 90), bool)
+    valid[:, :40] = np.random.default_rng(3).random((60, 40)) > 0.5
+    values[valid] = (7.0, -2.0)
+    small, coverage = figures.shrink(values, valid, 30)
+    assert small.shape == (20, 30, 2)
+    np.testing.assert_allclose(small[coverage > 0.05], [[7.0, -2.0]] * (coverage > 0.05).sum())
+    assert coverage.mean() == pytest.approx(valid.mean(), abs=1e-3)
+    assert coverage[:, 14:].max() == 0
+    same, whole = figures.shrink(values[..., 0], valid, 90)
+    np.testing.assert_array_equal(same[..., 0], values[..., 0])
+    faded = figures.faded(figures.stretch(same, whole), whole * 0.5)
+    assert set(np.unique(faded[..., 3])) == {0, 128}
+
+
 def test_encode_keeps_png_exactly_and_refuses_what_cannot_be() -> None:
     picture = np.random.default_rng(1).integers(0, 256, (9, 7, 4), dtype=np.uint8)
     back = cv2.imdecode(np.frombuffer(figures.encode(picture), np.uint8), cv2.IMREAD_UNCHANGED)
