@@ -65,6 +65,7 @@ class Result:
         notes: What the user should know: frames skipped, defaults assumed, hue that said nothing.
         timings_s: Seconds by stage.
         mask: Name of the mask of the main integral image: "hue", "rarity", "anomaly" or "none".
+        detected: Whether finds were looked for at all.
     """
 
     flight: Flight
@@ -82,3 +83,4 @@ class Result:
     notes: tuple[str, ...]
     timings_s: dict[str, float]
     mask: str = "none"
+    detected: bool = True

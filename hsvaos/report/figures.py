@@ -142,13 +142,13 @@ def stretch(
 
 
 def photo_picture(photo: NDArray[Any]) -> Rgba:
-    """Return a photo for display: an 8 bit photo as it is, any other stretched.
+    """Return a photo for display: an 8 bit colour photo as it is, any other (thermal) stretched.
 
     Args:
         photo: Shape (H, W), (H, W, 1) or (H, W, 3), uint8, uint16 or float.
     """
-    if photo.dtype == np.uint8:
-        return _rgba(photo.reshape(*photo.shape[:2], -1), np.ones(photo.shape[:2], bool))
+    if photo.dtype == np.uint8 and photo.ndim == 3 and photo.shape[2] == 3:
+        return _rgba(photo, np.ones(photo.shape[:2], bool))
     return stretch(photo)
 
 

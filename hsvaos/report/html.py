@@ -60,6 +60,8 @@ def data_uri(picture: Rgba, quality: int = 84) -> str:
 
 def _verdict(result: Result) -> str:
     count = len(result.persons)
+    if not result.detected:
+        return "<strong>Finds were not looked for</strong> in this run: look at the pictures."
     if count == 0:
         return (
             "<strong>Nothing stood out.</strong> That does not prove that nobody is there: look at "

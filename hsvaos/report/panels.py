@@ -132,6 +132,8 @@ def _photo_panels(result: Result, photo: Rgba) -> list[Panel]:
 
 def _integral_panel(result: Result, name: str, image: Float, footprint: Float) -> Panel:
     title, caption = _INTEGRALS[name]
+    if name == "hue" and result.mask_stats.get("hue_informative") is False:
+        caption = "Hue says nothing in these photos: nothing was taken out. " + _UNSEEN
     small, coverage = figures.shrink(image, figures.covered(footprint), LONGEST_PX)
     picture = figures.faded(figures.stretch(small, coverage), coverage)
     return Panel(name, title, caption, _dressed(result, picture), True)

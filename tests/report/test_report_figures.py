@@ -104,6 +104,15 @@ def test_encode_keeps_png_exactly_and_refuses_what_cannot_be() -> None:
     np.testing.assert_array_equal(cv2.cvtColor(back, cv2.COLOR_BGRA2RGBA), picture)
 
 
+def test_photos_are_shown_as_taken_and_thermal_ones_stretched() -> None:
+    photo = np.random.default_rng(4).integers(90, 110, (20, 30, 3), dtype=np.uint8)
+    np.testing.assert_array_equal(figures.photo_picture(photo)[..., :3], photo)
+    for thermal in (photo[..., 0], photo[..., :1].astype(np.uint16)):
+        shown = figures.photo_picture(thermal)
+        assert shown.shape == (20, 30, 4)
+        assert np.ptp(shown[..., 0]) == 255
+
+
 def test_masked_photo_shows_kept_pixels_as_they_are() -> None:
     photo = figures.photo_picture(np.full((2, 2, 3), 180, np.uint8))
     shown = figures.masked_photo(photo, np.array([[255, 0], [0, 255]], np.uint8))

@@ -143,6 +143,9 @@ def test_no_find_is_no_promise(result_of) -> None:
     page = _Page(report_html(result_of(persons=False)))
     assert "Nothing stood out." in page.text
     assert "does not prove that nobody is there" in page.text
+    blind = report_html(replace(result_of(persons=False), detected=False))
+    assert "Finds were not looked for" in blind
+    assert "Nothing stood out" not in blind
 
 
 def test_find_outside_the_view_or_without_spread_is_listed_without_picture(result_of) -> None:
@@ -158,4 +161,5 @@ def test_hue_that_says_nothing_is_told(result_of) -> None:
     text = report_html(result_of(stats=stats))
     assert "The hues say nothing here" in text
     assert "the mask keeps everything" in text
+    assert "nothing was taken out" in text
     assert "nan" not in _Page(text).text.lower()
