@@ -132,7 +132,8 @@ def photo_in_view(result: Result, picture: Rgba, longest: int) -> Rgba | None:
     step = 1.0 / scale
     source: Any = picture
     if step > 1.5:  # shrink first: sampling every n-th pixel would sparkle
-        source = cv2.blur(picture, (round(step), round(step)))
+        side = round(step) | 1  # an even box would shift the photo by half a pixel
+        source = cv2.blur(picture, (side, side))
     laid = cv2.remap(
         source, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderValue=(0.0, 0.0, 0.0, 0.0)
     )

@@ -49,6 +49,14 @@ def test_photo_laid_over_its_own_view_is_the_photo(result_of) -> None:
     assert photo_in_view(replace(result, photo_frame="absent.png"), photo, 1000) is None
 
 
+def test_photo_laid_over_a_smaller_picture_keeps_its_pixel_centres(result_of) -> None:
+    ramp = np.broadcast_to(2 * np.arange(96), (64, 96)).astype(np.uint8)
+    laid = photo_in_view(result_of(), np.dstack([ramp] * 3 + [np.full_like(ramp, 255)]), 48)
+    assert laid.shape == (32, 48, 4)
+    # Pixel c of the half-size picture is centred on 2 c + 0.5.
+    np.testing.assert_allclose(laid[8, 2:-2, 0], 2 * (2 * np.arange(2, 46) + 0.5), atol=0.51)
+
+
 def test_photo_laid_over_its_own_view_loses_its_distortion(result_of) -> None:
     result = result_of()
     bent = Camera(96, 64, 70.0, 70.0, 47.5, 31.5, (-0.2, 0.05, 0.0, 0.0, 0.0))
