@@ -68,7 +68,7 @@ def ground_reference(view: VirtualCamera, origin: Origin, down_m: float = 0.0) -
     meridian convergence and scaled by 0.9996 and up. Both are in the affine: grid nodes are taken
     from the tangent plane to the ellipsoid and projected exactly, then a least squares affine is
     fitted. What it misses (the change of convergence and scale across the grid) is `residual_m`,
-    about 1 mm over 500 m.
+    about 0.2 mm over 500 m and 2 cm over 5 km.
 
     Args:
         view: An orthographic view.
