@@ -174,6 +174,19 @@ def test_weights_bool_and_uint8_have_unit_scale(device: str) -> None:
         np.testing.assert_allclose(footprint, 2.0, rtol=1e-4)
 
 
+def test_one_mask_serves_all_photos(device: str) -> None:
+    rng = np.random.default_rng(0)
+    images = rng.integers(0, 256, (3, 10, 12, 3), dtype=np.uint8)
+    mask = rng.integers(0, 256, (10, 12), dtype=np.uint8)
+    camera = Camera.from_fov(12, 10, 80)
+    poses = [looking_down(n, 0, 20) for n in range(3)]
+    view = VirtualCamera(camera, poses[1])
+    one = Integrator(camera, images, poses, mask, device=device).integrate(view, FocalPlane())
+    many = Integrator(camera, images, poses, np.stack([mask] * 3), device=device)
+    for a, b in zip(one, many.integrate(view, FocalPlane()), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
 def test_far_origin_loses_no_precision(device: str) -> None:
     rng = np.random.default_rng(0)
     images = rng.integers(0, 256, (1, 64, 64, 3), dtype=np.uint8)
