@@ -122,6 +122,8 @@ def read_csv(path: Path, columns: Sequence[str]) -> list[CsvRow]:
     try:
         for fields in reader:
             fields = [field.strip() for field in fields]
+            if any("\n" in field or "\r" in field for field in fields):
+                raise FlightError(f"{path}: line {reader.line_num}: a quoted field spans lines")
             if not any(fields) or fields[0].startswith("#"):
                 continue
             if header is None:
