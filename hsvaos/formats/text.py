@@ -7,7 +7,7 @@ import io
 import json
 import math
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -153,3 +153,14 @@ def _check_header(path: Path, header: list[str], columns: Sequence[str]) -> None
     twice = sorted({name for name in header if header.count(name) > 1})
     if twice:
         raise FlightError(f"{path}: the column {twice[0]!r} is there twice")
+
+
+def write_csv(path: Path, rows: Iterable[Sequence[str]]) -> None:
+    """Write a CSV file in UTF-8, names with commas or quotes quoted.
+
+    Args:
+        path: The file.
+        rows: The column names first.
+    """
+    with path.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows(rows)
