@@ -74,6 +74,11 @@ def read_posed_photos(
     """
     mask = options.mask
     notes: list[str] = []
+    meshes = sorted(path.name for path in folder.glob("*.obj"))
+    if meshes:
+        notes.append(
+            f"terrain mesh beside the photos, not used unless asked: --terrain {meshes[0]}"
+        )
     if mask is None and (folder / "mask.png").is_file():
         mask = folder / "mask.png"
         notes.append(MASK_NOTE)

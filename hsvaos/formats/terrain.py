@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import struct
+import warnings
 import zipfile
+import zlib
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -20,6 +23,17 @@ Array = NDArray[np.float64]
 
 _BIGTIFF_STARTS = (b"II+\0", b"MM\0+")
 _ZIP_START = b"PK\x03\x04"
+_DAMAGED_ZIP = (
+    OSError,
+    EOFError,
+    KeyError,
+    struct.error,
+    zlib.error,
+    zipfile.BadZipFile,
+    NotImplementedError,  # a flag that says encrypted, or an unknown compression
+    RuntimeError,
+)
+"""What zipfile and NumPy raise for damaged .npz files, beside ValueError."""
 
 
 def read_terrain(
@@ -79,7 +93,7 @@ def _read_npz(path: Path) -> FocalTerrain:
                     f"{path}: expected the arrays {', '.join(names)}; missing {', '.join(missing)}"
                 )
             return FocalTerrain.from_arrays(*(content[name] for name in names))
-    except (OSError, zipfile.BadZipFile, EOFError) as error:
+    except _DAMAGED_ZIP as error:
         raise FlightError(f"{path}: malformed .npz ({error})") from None
 
 
@@ -94,10 +108,16 @@ def _geo_extra(path: Path) -> tuple[ModuleType, ModuleType]:
     return rasterio, pyproj
 
 
+def _opened(rasterio: ModuleType, path: Path) -> Any:
+    """Open a raster; that it has no place on the Earth is said by an error, not a warning."""
+    warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+    return rasterio.open(path)
+
+
 def _read_geotiff(path: Path, origin: Origin) -> FocalTerrain:
     rasterio, pyproj = _geo_extra(path)
     try:
-        with rasterio.open(path) as file:
+        with warnings.catch_warnings(), _opened(rasterio, path) as file:
             if file.crs is None:
                 raise FlightError(f"{path}: expected a GeoTIFF with a coordinate system, got none")
             crs = pyproj.CRS.from_wkt(file.crs.to_wkt())

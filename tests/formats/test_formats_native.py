@@ -139,6 +139,16 @@ def test_a_crash_leaves_nothing_behind(tmp_path):
         write_native(flight_of([np.eye(4)] * 2), tmp_path / "short", images=[NOISE])
 
 
+def test_names_with_commas_and_quotes_and_flights_without_poses(tmp_path):
+    name = 'a, "b".png'
+    flight = Flight("x", CAMERA, (Frame(name, Path(), np.eye(4)),))
+    again = hsvaos.open_flight(write_native(flight, tmp_path / "f", images=[NOISE]))
+    assert [frame.name for frame in again.frames] == [name]
+    with pytest.raises(FlightError, match="needs poses or triggers"):
+        write_native(flight_of([None]), tmp_path / "g", images=[NOISE])
+    assert not (tmp_path / "g").exists()
+
+
 def test_without_poses_frames_come_from_the_triggers(folder):
     (folder / "poses.csv").unlink()
     (folder / "imu.csv").write_text("t_s\n")
