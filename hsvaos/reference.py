@@ -218,7 +218,8 @@ def rx_distances(image: ArrayLike) -> Array:
     flat = colours.reshape(-1, 3)
     covariance = np.cov(flat.T, bias=True) + 1e-4 * np.eye(3)
     away = colours - flat.mean(axis=0)
-    return np.einsum("...i,ij,...j->...", away, np.linalg.inv(covariance), away)
+    inverse = np.linalg.inv(covariance)
+    return np.asarray(np.einsum("...i,ij,...j->...", away, inverse, away))
 
 
 def intersect_plane(origins: Array, directions: Array, plane: FocalPlane, forward: bool) -> Array:

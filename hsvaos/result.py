@@ -59,10 +59,13 @@ class Result:
         photo_mask: Shape (H, W), uint8, its weight in the chosen mask (255 = full weight).
         photo_rarity: Shape (H, W), uint8, its rarity weight (255 = 1); or None.
         photo_frame: Name of that frame.
-        mask_stats: What the mask measured (hue mean, sigma, kept share, whether hue said nothing).
+        mask_stats: What the mask measured; reports read "hue_mean_deg", "hue_sigma_deg", "sigmas",
+            "kept_share" (0..1) and "hue_informative" (bool) where they are there.
         hue_histogram: Shape (B,), float64, weighted hue histogram over the flight; or None.
         notes: What the user should know: frames skipped, defaults assumed, hue that said nothing.
         timings_s: Seconds by stage.
+        mask: Name of the mask of the main integral image: "hue", "rarity", "anomaly" or "none".
+        detected: Whether finds were looked for at all.
     """
 
     flight: Flight
@@ -79,3 +82,5 @@ class Result:
     hue_histogram: NDArray[np.float64] | None
     notes: tuple[str, ...]
     timings_s: dict[str, float]
+    mask: str = "none"
+    detected: bool = True

@@ -4,6 +4,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# The first example of a kernel test compiles the kernel: no deadline, and few examples each.
+settings.register_profile("hsvaos", deadline=None, max_examples=20)
+settings.load_profile("hsvaos")
 
 SHARED = Path(__file__).parents[1].parent / "shared" / "data"
 
@@ -19,3 +24,18 @@ def data() -> Callable[[str], Path]:
         return path
 
     return find
+
+
+def _devices() -> list[str]:
+    from hsvaos.kernels.device import quiet_start
+
+    quiet_start()
+    import warp as wp
+
+    return [device.alias for device in wp.get_devices()]
+
+
+@pytest.fixture(scope="session", params=_devices())
+def device(request: pytest.FixtureRequest) -> str:
+    """Run a kernel test on the CPU and, where there is one, on CUDA."""
+    return str(request.param)

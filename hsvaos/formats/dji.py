@@ -13,7 +13,7 @@ from hsvaos.camera import Camera
 from hsvaos.flight import Flight, FlightError, Origin
 from hsvaos.formats.dji_camera import dji_camera
 from hsvaos.formats.exif import PhotoTags, read_tags
-from hsvaos.formats.options import NO_INTRINSICS, Options, camera_from_table
+from hsvaos.formats.options import MASK_NOTE, NO_INTRINSICS, Options, camera_from_table
 from hsvaos.formats.poses import PosedName, read_poses
 from hsvaos.formats.select import PhotoFinder, images_in, select_frames, skipped_note
 from hsvaos.formats.text import read_toml
@@ -27,7 +27,7 @@ GIMBAL_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]
 _RTK_FIXED = 50.0
 """RtkFlag of a position solved with fixed ambiguities."""
 _LOOKED_AT = 5
-"""So many photos of a folder are opened to tell whether it is one of these."""
+"""So many photos, spread over a folder, are opened to tell whether it is one of these."""
 
 
 class Angles(NamedTuple):
@@ -49,7 +49,8 @@ class Angles(NamedTuple):
 def recognise(path: Path, options: Options) -> bool:
     """Whether a folder holds photos with a GPS position and gimbal or flight angles."""
     folder = _photo_folder(path)
-    for photo in images_in(folder)[:_LOOKED_AT]:
+    photos = images_in(folder)
+    for photo in photos[:: -(-len(photos) // _LOOKED_AT) or 1]:
         try:
             tags = read_tags(photo)
         except FlightError:
@@ -171,7 +172,10 @@ def read(path: Path, options: Options) -> Flight:
     folder = _photo_folder(path)
     tags: dict[str, PhotoTags] = {}
     silent = []
+    mask = folder / "mask.png"
     for photo in images_in(folder):
+        if photo == mask:
+            continue
         try:
             read = read_tags(photo)
         except FlightError:
@@ -190,6 +194,8 @@ def read(path: Path, options: Options) -> Flight:
         posed, pose_notes = read_poses(options.poses), []
     size = (options.camera.width, options.camera.height) if options.camera else None
     frames, size, skipped = select_frames(posed, PhotoFinder([folder]), path, camera_size=size)
+    if options.mask is None and mask.is_file():
+        notes.append(MASK_NOTE)
     camera, camera_note = _camera(path, options, tags.get(frames[0].name), size)
     ground = options.ground_down_m
     if ground is None and has_ground:
@@ -203,7 +209,7 @@ def read(path: Path, options: Options) -> Flight:
         frames=frames,
         origin=origin,
         ground_down_m=ground,
-        mask=options.mask,
+        mask=options.mask or (mask if mask.is_file() else None),
         source=path,
         format="dji",
         notes=(*skipped, *notes, *pose_notes, *camera_note),
@@ -227,7 +233,7 @@ def _origin(places: list[_Place | None]) -> tuple[Origin, bool, list[str]]:
         note = "no height above sea level in the photos: origin height 0 stands for take-off"
         return Origin(first.lat, first.lon, 0.0), True, [note]
     heights = [place.absolute for place in known if place.absolute is not None]
-    note = "no height above take-off in the photos: origin at the height of the lowest photo"
+    note = "no height above take-off in the photos: down = 0 at the lowest photo"
     return Origin(first.lat, first.lon, min(heights, default=0.0)), False, [note]
 
 

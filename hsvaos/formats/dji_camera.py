@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 from hsvaos.camera import Camera
@@ -16,20 +17,22 @@ class Sensor(NamedTuple):
     """A sensor of known size.
 
     Args:
-        width_mm: Width of the whole sensor area that makes the widest photo [mm].
+        width_mm: Width of the area that makes the widest photo [mm].
         width_px: Columns of that photo [px].
+        height_px: Rows of that photo [px].
     """
 
     width_mm: float
     width_px: int
+    height_px: int
 
 
 SENSORS = {
-    "FC6310": Sensor(13.2, 5472),  # Phantom 4 Pro, 1 inch
-    "FC6310R": Sensor(13.2, 5472),  # Phantom 4 RTK
-    "FC6310S": Sensor(13.2, 5472),  # Phantom 4 Pro V2
-    "L1D-20c": Sensor(13.2, 5472),  # Mavic 2 Pro
-    "ZenmuseP1": Sensor(35.9, 8192),  # Zenmuse P1
+    "FC6310": Sensor(13.2, 5472, 3648),  # Phantom 4 Pro, 1 inch
+    "FC6310R": Sensor(13.2, 5472, 3648),  # Phantom 4 RTK
+    "FC6310S": Sensor(13.2, 5472, 3648),  # Phantom 4 Pro V2
+    "L1D-20c": Sensor(13.2, 5472, 3648),  # Mavic 2 Pro
+    "ZenmuseP1": Sensor(35.9, 8192, 5460),  # Zenmuse P1
 }
 """Cameras whose sensor size and pixel count are published by the maker, by Exif model."""
 
@@ -38,7 +41,8 @@ def dji_camera(tags: PhotoTags, width: int, height: int) -> tuple[Camera, str] |
     """Return the camera of a DJI photo and where its intrinsics came from.
 
     Tried in this order: the factory's calibration (`DewarpData`), the calibrated focal length in
-    pixels, a sensor of known size, the focal length on 35 mm film.
+    pixels, a sensor of known size, the focal length on 35 mm film. The first three describe the
+    full photo: they are scaled to photos made smaller, and cut to those of another shape.
 
     Args:
         tags: Tags of one photo.
@@ -48,32 +52,29 @@ def dji_camera(tags: PhotoTags, width: int, height: int) -> tuple[Camera, str] |
     Returns:
         The camera and a line for the user, or None where the photo says nothing usable.
     """
-    found = _from_dewarp_data(tags, width, height) or _from_calibrated(tags, width, height)
+    full = _full_size(tags, width, height)
+    found = _from_dewarp_data(tags, *full) or _from_calibrated(tags, *full)
+    found = found or _from_sensor(tags)
     if found is not None:
-        return found
-    sensor = SENSORS.get(tags.model or "")
-    if sensor is not None and tags.focal_mm is not None:
-        focal = tags.focal_mm / sensor.width_mm * sensor.width_px * _resampling(width, sensor)
-        note = (
-            f"intrinsics from the focal length {tags.focal_mm:g} mm and the {sensor.width_mm:g} mm "
-            f"wide sensor of the {tags.model}"
-        )
-        return _centred(width, height, focal), f"{note}: {focal:.0f} px"
+        camera, note = found
+        fitted = fit_camera(camera, width, height)
+        shape = "" if full == (width, height) else f", scaled from {full[0]} x {full[1]}"
+        return fitted, f"intrinsics from {note}: {fitted.fx:.0f} px{shape}"
     if tags.focal_35mm is None:
         return None
     focal = tags.focal_35mm / FILM_DIAGONAL_MM * full_diagonal_px(width, height)
     note = (
         f"intrinsics from the 35 mm equivalent focal length {tags.focal_35mm:g} mm (same angle "
-        f"over the diagonal of the whole 4:3 sensor): {focal:.0f} px"
+        f"over the diagonal of the whole sensor): {focal:.0f} px"
     )
     return _centred(width, height, focal), note
 
 
 def full_diagonal_px(width: int, height: int) -> float:
-    """Return the diagonal of the whole 4:3 (or 3:2) sensor a photo was cut from [px].
+    """Return the diagonal of the whole 4:3 or 3:2 sensor that a photo was cut from [px].
 
-    Photos wider than 3:2 are cut from above and below, and keep the width; the equivalent focal
-    length in their tags is still that of the whole sensor.
+    Photos wider than 3:2 are taken to be cut from above and below a 4:3 sensor, keeping its
+    width; the equivalent focal length in their tags is still that of the whole sensor.
 
     Args:
         width: Columns of the photo [px].
@@ -85,10 +86,44 @@ def full_diagonal_px(width: int, height: int) -> float:
     return math.hypot(long, short)
 
 
-def _resampling(width: int, sensor: Sensor) -> float:
-    # Photos of fewer columns are cut when the pixels stay, resampled when the field of view
-    # stays. Only half size and less is surely the latter.
-    return width / sensor.width_px if width <= 0.6 * sensor.width_px else 1.0
+def fit_camera(camera: Camera, width: int, height: int) -> Camera:
+    """Return the camera of a photo made smaller by its width, then cut above and below.
+
+    Args:
+        camera: Camera of the full photo.
+        width: Columns of the photo at hand [px].
+        height: Rows of the photo at hand [px].
+    """
+    # Rows are scaled by the columns' ratio exactly; rounding them would make pixels oblong.
+    scale = width / camera.width
+    surplus = camera.height * scale - height
+    return Camera(
+        width,
+        height,
+        camera.fx * scale,
+        camera.fy * scale,
+        (camera.cx + 0.5) * scale - 0.5,
+        (camera.cy + 0.5) * scale - 0.5 - surplus / 2.0,
+        camera.distortion,
+    )
+
+
+def _full_size(tags: PhotoTags, width: int, height: int) -> tuple[int, int]:
+    """Return the size of the photo that calibrations refer to [px]."""
+    sensor = SENSORS.get(_model(tags))
+    if sensor is not None:
+        return sensor.width_px, sensor.height_px
+    cx = tags.xmp_number("CalibratedOpticalCenterX")
+    cy = tags.xmp_number("CalibratedOpticalCenterY")
+    # The optical centre lies within a few per cent of the middle: it tells half the size roughly,
+    # well enough to see that a photo was made smaller afterwards.
+    if cx is not None and cy is not None and cx > 0.55 * width and cy > 0.0:
+        return round(2 * cx), round(2 * cy)
+    return width, height
+
+
+def _model(tags: PhotoTags) -> str:
+    return tags.model or tags.xmp.get("Model", "")
 
 
 def _centred(width: int, height: int, focal: float) -> Camera:
@@ -100,27 +135,40 @@ def _from_dewarp_data(tags: PhotoTags, width: int, height: int) -> tuple[Camera,
     try:
         date, _, text = tags.xmp.get("DewarpData", "").partition(";")
         fx, fy, dx, dy, k1, k2, p1, p2, k3 = (float(part) for part in text.split(","))
-        # Where the camera already removed the distortion, what is left is a pinhole.
-        dewarped = tags.xmp_number("DewarpFlag") == 1.0
-        lens = (0.0, 0.0, 0.0, 0.0, 0.0) if dewarped else (k1, k2, p1, p2, k3)
-        camera = Camera(width, height, fx, fy, width / 2 + dx - 0.5, height / 2 + dy - 0.5, lens)
+        camera = Camera(
+            width, height, fx, fy, width / 2 + dx - 0.5, height / 2 + dy - 0.5, (k1, k2, p1, p2, k3)
+        )
     except ValueError:
         return None
-    if not (width / 5 < fx < 20 * width and max(abs(dx), abs(dy)) < 0.2 * width):
+    if not _plausible(fx, width) or max(abs(dx), abs(dy)) > 0.2 * width:
         return None
-    return camera, f"intrinsics from the maker's calibration of {date} in the photos: {fx:.0f} px"
+    if tags.xmp_number("DewarpFlag") == 1.0:  # the camera took the distortion out itself
+        camera = replace(camera, distortion=(0.0, 0.0, 0.0, 0.0, 0.0))
+    return camera, f"the maker's calibration of {date.strip()} in the photos"
 
 
 def _from_calibrated(tags: PhotoTags, width: int, height: int) -> tuple[Camera, str] | None:
     focal = tags.xmp_number("CalibratedFocalLength")
-    cx = tags.xmp_number("CalibratedOpticalCenterX")
-    cy = tags.xmp_number("CalibratedOpticalCenterY")
-    # Some cameras put millimetres or micrometres into this field.
-    if focal is None or not width / 5 < focal < 20 * width:
+    if focal is None or not _plausible(focal, width):
         return None
     camera = _centred(width, height, focal)
-    if cx is None or cy is None:
-        pass  # the middle of the photo stands
-    elif abs(cx - width / 2) < 0.2 * width and abs(cy - height / 2) < 0.2 * height:
-        camera = Camera(width, height, focal, focal, cx - 0.5, cy - 0.5)
-    return camera, f"intrinsics from CalibratedFocalLength in the photos: {focal:.0f} px"
+    cx = tags.xmp_number("CalibratedOpticalCenterX")
+    cy = tags.xmp_number("CalibratedOpticalCenterY")
+    centre = cx is not None and abs(cx - width / 2) < 0.1 * width
+    if centre and cx is not None and cy is not None and abs(cy - height / 2) < 0.1 * height:
+        camera = replace(camera, cx=cx - 0.5, cy=cy - 0.5)
+    return camera, "CalibratedFocalLength in the photos"
+
+
+def _plausible(focal: float, width: int) -> bool:
+    """Whether it can be pixels: some cameras write millimetres or micrometres."""
+    return width / 5 < focal < 20 * width
+
+
+def _from_sensor(tags: PhotoTags) -> tuple[Camera, str] | None:
+    sensor = SENSORS.get(_model(tags))
+    if sensor is None or tags.focal_mm is None:
+        return None
+    focal = tags.focal_mm / sensor.width_mm * sensor.width_px
+    note = f"the focal length {tags.focal_mm:g} mm and the {sensor.width_mm:g} mm wide sensor"
+    return _centred(sensor.width_px, sensor.height_px, focal), f"{note} of the {_model(tags)}"

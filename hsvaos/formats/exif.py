@@ -16,7 +16,11 @@ from hsvaos.formats.tiff import Directory, TiffTags
 _EXIF_START = b"Exif\0\0"
 _XMP_START = b"http://ns.adobe.com/xap/1.0/\0"
 
-_ATTRIBUTE = re.compile(r"""[\w.-]+:([\w.-]+)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
+_START_BYTES = 1 << 18
+"""Read first; holds the tags of most JPEG photos."""
+
+# Looking back keeps a search through a long word, such as an embedded preview, linear.
+_ATTRIBUTE = re.compile(r"""(?<![\w.-])[\w.-]+:([\w.-]+)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 _ELEMENT = re.compile(r"<([\w.-]+):([\w.-]+)[^<>]*>([^<>]*)</\1:\2\s*>")
 
 
@@ -65,11 +69,16 @@ def read_tags(path: Path) -> PhotoTags:
         FlightError: If the file cannot be read.
     """
     try:
-        data = path.read_bytes()
+        with path.open("rb") as file:
+            data = file.read(_START_BYTES)
+            segments = list(jpeg_segments(data)) if data.startswith(JPEG_START) else []
+            # A TIFF may keep its tags anywhere, a JPEG before its picture (marker 0xda).
+            if data.startswith(TIFF_STARTS) or (segments and segments[-1][0] != 0xDA):
+                data += file.read()
     except OSError as error:
         raise FlightError(f"{path}: cannot be read ({error.strerror})") from None
     exif, packet = b"", b""
-    if data.startswith(JPEG_START):
+    if segments:
         for marker, start, end in jpeg_segments(data):
             content = data[start:end] if marker == 0xE1 else b""
             if content.startswith(_EXIF_START) and not exif:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import struct
+import zlib
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -55,7 +56,7 @@ def read_header(data: bytes) -> ImageHeader | None:
             return ImageHeader(width, height, 1 if colour in (0, 4) else 3)
         if data.startswith(TIFF_STARTS):
             return _tiff_header(data)
-    except struct.error:
+    except (struct.error, ValueError):
         pass
     return None
 
@@ -70,10 +71,10 @@ def fault(data: bytes) -> str | None:
         if data.startswith(JPEG_START):
             return None if _jpeg_ends(data) else "truncated JPEG: no end marker after its picture"
         if data.startswith(PNG_START):
-            return None if _png_ends(data) else "truncated PNG: no IEND chunk"
+            return _png_fault(data)
         if data.startswith(TIFF_STARTS):
             return None if _tiff_ends(data) else "truncated TIFF: its picture lies beyond the end"
-    except struct.error:
+    except (struct.error, ValueError):
         return "truncated image: its header ends too early"
     return None
 
@@ -127,14 +128,20 @@ def _jpeg_ends(data: bytes) -> bool:
     return False
 
 
-def _png_ends(data: bytes) -> bool:
-    at = len(PNG_START)
+def _png_fault(data: bytes) -> str | None:
+    view, at = memoryview(data), len(PNG_START)
     while at + 12 <= len(data):
         (length,) = struct.unpack_from(">I", data, at)
-        if data[at + 4 : at + 8] == b"IEND":
-            return True
-        at += 12 + int(length)
-    return False
+        kind, end = data[at + 4 : at + 8], at + 8 + int(length)
+        if end + 4 > len(data):
+            break
+        # OpenCV draws what it can of a damaged picture, too.
+        if zlib.crc32(view[at + 4 : end]) != struct.unpack_from(">I", data, end)[0]:
+            return f"damaged PNG: wrong checksum of its chunk {kind.decode('ascii', 'replace')}"
+        if kind == b"IEND":
+            return None
+        at = end + 4
+    return "truncated PNG: no IEND chunk"
 
 
 def _tiff_header(data: bytes) -> ImageHeader | None:

@@ -75,7 +75,11 @@ def decode_photo(path: str | Path) -> Photo:
         raise FlightError(f"{path}: expected an image, OpenCV says: {error.err}") from None
     if pixels is None:
         raise FlightError(f"{path}: expected an image, got {len(data)} bytes that do not decode")
-    return _photo(path, np.asarray(pixels))
+    pixels = np.asarray(pixels)
+    header = read_header(data)
+    if header is not None and header.channels == 1 and pixels.shape[2:] == (4,):
+        pixels = pixels[..., 2:]  # OpenCV spreads grey with alpha over four channels
+    return _photo(path, pixels)
 
 
 def _photo(path: Path, pixels: Image) -> Photo:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from hsvaos.flight import Flight, FlightError
-from hsvaos.formats.options import NO_INTRINSICS, Options, camera_from_table
+from hsvaos.formats.options import MASK_NOTE, NO_INTRINSICS, Options, camera_from_table
 from hsvaos.formats.poses import is_jku, read_poses
 from hsvaos.formats.select import PhotoFinder, select_frames
 from hsvaos.formats.text import read_json, read_toml
@@ -74,9 +74,14 @@ def read_posed_photos(
     """
     mask = options.mask
     notes: list[str] = []
+    meshes = sorted(path.name for path in folder.glob("*.obj"))
+    if meshes:
+        notes.append(
+            f"terrain mesh beside the photos, not used unless asked: --terrain {meshes[0]}"
+        )
     if mask is None and (folder / "mask.png").is_file():
         mask = folder / "mask.png"
-        notes.append("mask.png found beside the photos: used as user mask (0 = ignore)")
+        notes.append(MASK_NOTE)
     described = folder / "flight.toml"
     table = read_toml(described).get("camera") if described.is_file() else None
     where = f"{described}: [camera]"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -140,6 +141,8 @@ def read_obj(path: Path) -> tuple[Array, Faces]:
         try:
             if words[0] == "v":
                 x, y, z = (float(word) for word in words[1:4])
+                if not math.isfinite(x + y + z):
+                    raise ValueError
                 vertices.append([x, y, z])
                 continue
             corners = [int(word.split("/")[0]) for word in words[1:]]

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from hsvaos.flight import Flight, FlightError
 from hsvaos.formats.native import LOGS, MOUNTING
 from hsvaos.formats.poses import PosedName, write_poses_csv
+from hsvaos.formats.text import write_csv
 
 _JPEG_QUALITY = 95
 
@@ -137,6 +138,8 @@ def _description(
         ]
         write_poses_csv(folder / "poses.csv", posed)
         frames["poses"] = "poses.csv"
+    elif "triggers" not in logs and "triggers" not in flight.sensors:
+        raise FlightError(f"{flight.name}: a flight needs poses or triggers to be written")
     if flight.mask is not None:
         frames["mask"] = _copy(flight.mask, folder, "mask" + flight.mask.suffix)
     masks = [(n, f.mask) for n, f in zip(names, flight.frames, strict=True) if f.mask]
@@ -176,10 +179,10 @@ def _write_table(path: Path, columns: Mapping[str, ArrayLike | Sequence[str]]) -
     values = [np.asarray(column) for column in columns.values()]
     if not values or any(v.ndim != 1 or v.size != values[0].size for v in values):
         raise FlightError(f"{path.name}: expected columns of one length")
-    lines = [",".join(columns)]
+    rows = [list(columns)]
     for row in zip(*(column.tolist() for column in values), strict=True):
-        lines.append(",".join(v if isinstance(v, str) else repr(v) for v in row))
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        rows.append([value if isinstance(value, str) else repr(value) for value in row])
+    write_csv(path, rows)
 
 
 def _table_text(name: str, table: Mapping[str, Any]) -> str:

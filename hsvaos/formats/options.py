@@ -11,6 +11,7 @@ from hsvaos.camera import Camera
 from hsvaos.flight import FlightError
 
 NO_INTRINSICS = "give --fov DEG or [camera] in flight.toml"
+MASK_NOTE = "mask.png found beside the photos: used as user mask (0 = ignore)"
 
 
 @dataclass(frozen=True)

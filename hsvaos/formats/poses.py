@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hsvaos.camera import check_pose
 from hsvaos.flight import FlightError
-from hsvaos.formats.text import read_csv, read_json, read_text
+from hsvaos.formats.text import read_csv, read_json, read_text, write_csv
 
 Array = NDArray[np.float64]
 
@@ -192,7 +192,7 @@ def write_poses_csv(path: Path, poses: Sequence[PosedName]) -> None:
     Raises:
         ValueError: If one of them has no pose.
     """
-    lines = [",".join(POSE_COLUMNS)]
+    rows: list[Sequence[str]] = [POSE_COLUMNS]
     for posed in poses:
         if posed.world_from_camera is None:
             raise ValueError(f"{posed.name} has no pose to write")
@@ -200,5 +200,5 @@ def write_poses_csv(path: Path, poses: Sequence[PosedName]) -> None:
         quaternion = quaternion_from_rotation(posed.world_from_camera[:3, :3])
         time = "" if math.isnan(posed.t_s) else repr(float(posed.t_s))
         numbers = [repr(float(value)) for value in (*place, *quaternion)]
-        lines.append(",".join([posed.name, time, *numbers]))
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        rows.append([posed.name, time, *numbers])
+    write_csv(path, rows)

@@ -113,7 +113,10 @@ def select_frames(
 
     counts = Counter(entry.name for entry in posed)
     leave_out("listed more than once", [n for n, c in counts.items() for _ in range(c - 1)])
-    entries = list({entry.name: entry for entry in reversed(posed)}.values())[::-1]
+    first: dict[str, PosedName] = {}
+    for entry in posed:
+        first.setdefault(entry.name, entry)
+    entries = list(first.values())
     bad = [entry for entry in entries if entry.problem]
     leave_out("pose not usable", [e.name for e in bad], bad[0].problem if bad else None)
     if bad:
@@ -140,9 +143,10 @@ def select_frames(
     leave_out("not a readable image", broken, problem)
 
     kept, size, odd = _of_one_kind(headers, camera_size)
-    if odd:
-        shape = f"{size[0]} x {size[1]} px" if size else "the camera's size"
-        leave_out(f"not of {shape} and kind like the others", odd)
+    if odd and size is not None:
+        shape = f"{size[0]} x {size[1]} px"
+        like = "and kind like the others" if kept else f"like the camera, but {_sizes(headers)}"
+        leave_out(f"not of {shape} {like}", odd)
     frames = tuple(
         Frame(
             entry.name,
@@ -159,6 +163,11 @@ def select_frames(
             f"{source}: no photo can be used: {'; '.join(reasons) or 'the list of poses is empty'}"
         )
     return frames, size, notes
+
+
+def _sizes(headers: Mapping[str, ImageHeader]) -> str:
+    sizes = Counter(f"{h.width} x {h.height}" for h in headers.values())
+    return ", ".join(size for size, _ in sizes.most_common(_NAMED))
 
 
 def _of_one_kind(

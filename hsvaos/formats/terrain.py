@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import struct
+import warnings
 import zipfile
+import zlib
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -20,6 +23,17 @@ Array = NDArray[np.float64]
 
 _BIGTIFF_STARTS = (b"II+\0", b"MM\0+")
 _ZIP_START = b"PK\x03\x04"
+_DAMAGED_ZIP = (
+    OSError,
+    EOFError,
+    KeyError,
+    struct.error,
+    zlib.error,
+    zipfile.BadZipFile,
+    NotImplementedError,  # a flag that says encrypted, or an unknown compression
+    RuntimeError,
+)
+"""What zipfile and NumPy raise for damaged .npz files, beside ValueError."""
 
 
 def read_terrain(
@@ -51,7 +65,7 @@ def read_terrain(
             return _read_geotiff(path, origin if isinstance(origin, Origin) else Origin(*origin))
         if start == _ZIP_START:
             return _read_npz(path)
-        if path.suffix.lower() == ".obj":
+        if _looks_like_obj(path):
             return rasterise_mesh(*read_obj(path))
     except FlightError:
         raise
@@ -62,17 +76,24 @@ def read_terrain(
     )
 
 
+def _looks_like_obj(path: Path) -> bool:
+    if path.suffix.lower() == ".obj":
+        return True
+    with path.open("rb") as file:
+        return any(line.startswith(b"v ") for line in file.read(4096).splitlines())
+
+
 def _read_npz(path: Path) -> FocalTerrain:
     names = ("north_m", "east_m", "down_m")
     try:
-        with np.load(path, allow_pickle=False) as content:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as content:
             missing = [name for name in names if name not in content]
             if missing:
                 raise FlightError(
                     f"{path}: expected the arrays {', '.join(names)}; missing {', '.join(missing)}"
                 )
             return FocalTerrain.from_arrays(*(content[name] for name in names))
-    except (OSError, zipfile.BadZipFile, EOFError) as error:
+    except _DAMAGED_ZIP as error:
         raise FlightError(f"{path}: malformed .npz ({error})") from None
 
 
@@ -87,15 +108,21 @@ def _geo_extra(path: Path) -> tuple[ModuleType, ModuleType]:
     return rasterio, pyproj
 
 
+def _opened(rasterio: ModuleType, path: Path) -> Any:
+    """Open a raster; that it has no place on the Earth is said by an error, not a warning."""
+    warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+    return rasterio.open(path)
+
+
 def _read_geotiff(path: Path, origin: Origin) -> FocalTerrain:
     rasterio, pyproj = _geo_extra(path)
     try:
-        with rasterio.open(path) as file:
+        with warnings.catch_warnings(), _opened(rasterio, path) as file:
             if file.crs is None:
                 raise FlightError(f"{path}: expected a GeoTIFF with a coordinate system, got none")
             crs = pyproj.CRS.from_wkt(file.crs.to_wkt())
             heights = file.read(1, masked=True).astype(np.float64).filled(np.nan)
-            from_pixel = file.transform
+            from_pixel = np.array(file.transform, dtype=np.float64).reshape(3, 3)
     except rasterio.errors.RasterioError as error:
         raise FlightError(f"{path}: cannot be read as GeoTIFF ({error})") from None
     if min(heights.shape) < 2 or not np.isfinite(heights).any():
@@ -109,7 +136,7 @@ def _read_geotiff(path: Path, origin: Origin) -> FocalTerrain:
     middle = float(np.nanmedian(heights))
     rows, columns = heights.shape
     border = _border(rows, columns)
-    x, y = from_pixel * (border[:, 1] + 0.5, border[:, 0] + 0.5)
+    x, y = _apply(from_pixel, border[:, 1] + 0.5, border[:, 0] + 0.5)
     lon, lat = to_wgs84.transform(x, y)
     edge = ned_from_geodetic(lat, lon, middle, origin)[:, :2]
     if not np.isfinite(edge).all():
@@ -126,18 +153,25 @@ def _read_geotiff(path: Path, origin: Origin) -> FocalTerrain:
     # Nodes are placed at the middle height: by another height they would move sideways by only
     # (height difference) x (distance) / (radius of the Earth), millimetres over a flight.
     down = np.empty((north.size, east.size), dtype=np.float32)
+    to_pixel: Array = np.linalg.inv(from_pixel).astype(np.float64)
     for i, n in enumerate(north):
         ned = np.stack(
             [np.full(east.size, n), east, np.full(east.size, origin.height_m - middle)], axis=1
         )
         lat, lon, _ = geodetic_from_ned(ned, origin)
         x, y = to_model.transform(lon, lat)
-        column, row = ~from_pixel * (np.asarray(x), np.asarray(y))
+        column, row = _apply(to_pixel, np.asarray(x), np.asarray(y))
         height = _bilinear(heights, row - 0.5, column - 0.5)
         down[i] = ned_from_geodetic(lat, lon, height, origin)[:, 2]
     if np.isnan(down).all():
         raise FlightError(f"{path}: expected heights, got none that are valid")
     return FocalTerrain(north0, east0, spacing, down)
+
+
+def _apply(affine: Array, x: Array, y: Array) -> tuple[Array, Array]:
+    """Return points moved by an affine map of the plane, shape (3, 3)."""
+    (a, b, c), (d, e, f) = affine[:2]
+    return a * x + b * y + c, d * x + e * y + f
 
 
 def _border(rows: int, columns: int) -> Array:

@@ -7,7 +7,7 @@ import io
 import json
 import math
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -122,6 +122,8 @@ def read_csv(path: Path, columns: Sequence[str]) -> list[CsvRow]:
     try:
         for fields in reader:
             fields = [field.strip() for field in fields]
+            if any("\n" in field or "\r" in field for field in fields):
+                raise FlightError(f"{path}: line {reader.line_num}: a quoted field spans lines")
             if not any(fields) or fields[0].startswith("#"):
                 continue
             if header is None:
@@ -151,3 +153,14 @@ def _check_header(path: Path, header: list[str], columns: Sequence[str]) -> None
     twice = sorted({name for name in header if header.count(name) > 1})
     if twice:
         raise FlightError(f"{path}: the column {twice[0]!r} is there twice")
+
+
+def write_csv(path: Path, rows: Iterable[Sequence[str]]) -> None:
+    """Write a CSV file in UTF-8, names with commas or quotes quoted.
+
+    Args:
+        path: The file.
+        rows: The column names first.
+    """
+    with path.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows(rows)

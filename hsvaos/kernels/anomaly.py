@@ -12,9 +12,10 @@ import warp as wp
 from numpy.typing import NDArray
 
 from hsvaos.kernels.device import ROW_GRAIN, bands, launch
-from hsvaos.kernels.integrate import as_value
 from hsvaos.kernels.pixels import (
     Stack,
+    as_colour,
+    as_value,
     device_of,
     like_input,
     output_array,
@@ -33,18 +34,6 @@ _SUMS = 10
 _BINS = 4096
 _BINS_PER_OCTAVE = 128.0
 """The quantile is found in a logarithmic histogram: one bin is half a percent of d."""
-
-
-@wp.func
-def as_colour(value: wp.vec3) -> wp.vec3:
-    """Colour of a pixel; grey counts three times the same."""
-    return value
-
-
-@wp.func
-def as_colour(value: float) -> wp.vec3:  # noqa: F811 - Warp overloads by type
-    """Colour of a pixel; grey counts three times the same."""
-    return wp.vec3(value, value, value)
 
 
 @lru_cache

@@ -10,7 +10,9 @@ from hsvaos.kernels.pixels import (
     RGB,
     SCALE,
     Stack,
+    as_value,
     as_vec3,
+    brightness,
     device_of,
     like_input,
     output_array,
@@ -117,8 +119,8 @@ def _brighten_kernel(pixel: Any) -> Any:
         out: wp.array(dtype=pixel),
     ):
         i = wp.tid() + offset
-        colour = as_vec3(rgb[i])
-        value = wp.max(colour[0], wp.max(colour[1], colour[2])) / white
+        colour = as_value(rgb[i])
+        value = brightness(colour) / white
         gain = float(1.0)
         if keep[i] > wp.uint8(0) and value > 0.0 and value < target:
             gain = wp.min(wp.pow(value / target, gamma - 1.0), max_gain)

@@ -166,6 +166,36 @@ def apply_hue_cut(
     return like_input(result, images) if out is None else out
 
 
+def measure_hue(
+    images: Any,
+    sigmas: float = 2.0,
+    statistics: str = "circular",
+    scope: str = "image",
+    *,
+    valid: Any = None,
+    gains: Any = None,
+    device: Any = None,
+) -> tuple[list[HueStatistics], NDArray[np.float64]]:
+    """Measure the cut of every image; see `hue_masks` for the arguments.
+
+    Returns:
+        N `HueStatistics`, and the hue histogram over the flight, shape (1440,), float64.
+    """
+    check_statistics(statistics, sigmas)
+    if scope not in ("image", "flight"):
+        raise ValueError(f'scope must be "image" or "flight", got {scope!r}')
+    histograms, chroma = hue_histograms(
+        images, statistics=statistics, valid=valid, gains=gains, device=device
+    )
+    whole = histograms.sum(axis=0)
+    rows, means = (histograms, chroma) if scope == "image" else ([whole], [chroma.mean()])
+    stats = [
+        hue_statistics(row, float(mean), statistics=statistics, sigmas=sigmas)
+        for row, mean in zip(rows, means, strict=True)
+    ]
+    return stats * (len(histograms) // len(stats)), whole
+
+
 def hue_masks(
     images: Any,
     sigmas: float = 2.0,
@@ -201,21 +231,8 @@ def hue_masks(
         ValueError: If a parameter is out of range or images are not RGB.
         TypeError: If a type is not supported.
     """
-    check_statistics(statistics, sigmas)
-    if scope not in ("image", "flight"):
-        raise ValueError(f'scope must be "image" or "flight", got {scope!r}')
-    histograms, chroma = hue_histograms(
-        images, statistics=statistics, valid=valid, gains=gains, device=device
+    stats, _ = measure_hue(
+        images, sigmas, statistics, scope, valid=valid, gains=gains, device=device
     )
-    if scope == "flight":
-        whole = hue_statistics(
-            histograms.sum(axis=0), float(chroma.mean()), statistics=statistics, sigmas=sigmas
-        )
-        stats = [whole] * len(histograms)
-    else:
-        stats = [
-            hue_statistics(h, float(c), statistics=statistics, sigmas=sigmas)
-            for h, c in zip(histograms, chroma, strict=True)
-        ]
     masks = apply_hue_cut(images, stats, valid=valid, gains=gains, out=out, device=device)
     return masks, stats

@@ -13,7 +13,7 @@ from hsvaos.kernels.device import launch
 from hsvaos.kernels.lens import Lens, lens, project
 from hsvaos.kernels.pixels import (
     Stack,
-    as_vec3,
+    as_value,
     device_of,
     like_input,
     output_array,
@@ -36,42 +36,6 @@ class Pose:
     centre: wp.vec3
 
 
-@wp.func
-def as_value(pixel: wp.vec3ub) -> wp.vec3:
-    """Pixel as what is summed up: a vector for RGB."""
-    return as_vec3(pixel)
-
-
-@wp.func
-def as_value(pixel: wp.vec3us) -> wp.vec3:  # noqa: F811 - Warp overloads by type
-    """Pixel as what is summed up: a vector for RGB."""
-    return as_vec3(pixel)
-
-
-@wp.func
-def as_value(pixel: wp.vec3) -> wp.vec3:  # noqa: F811
-    """Pixel as what is summed up: a vector for RGB."""
-    return pixel
-
-
-@wp.func
-def as_value(pixel: wp.uint8) -> float:  # noqa: F811
-    """Pixel as what is summed up: a number for grey."""
-    return float(pixel)
-
-
-@wp.func
-def as_value(pixel: wp.uint16) -> float:  # noqa: F811
-    """Pixel as what is summed up: a number for grey."""
-    return float(pixel)
-
-
-@wp.func
-def as_value(pixel: float) -> float:  # noqa: F811
-    """Pixel as what is summed up: a number for grey."""
-    return pixel
-
-
 @lru_cache
 def _gather_kernel(pixel: Any, weight: Any, value: Any) -> Any:
     @wp.kernel(module="unique", enable_backward=False)
@@ -86,6 +50,7 @@ def _gather_kernel(pixel: Any, weight: Any, value: Any) -> Any:
         images: wp.array2d(dtype=pixel),
         weights: wp.array2d(dtype=weight),
         weight_unit: float,
+        weight_step: int,
         image: wp.array(dtype=value),
         footprint: wp.array(dtype=float),
     ):
@@ -126,10 +91,10 @@ def _gather_kernel(pixel: Any, weight: Any, value: Any) -> Any:
                         wc = (1.0 - fx) * fy
                         wd = fx * fy
                         if weight_unit > 0.0:
-                            wa *= float(weights[n, a]) * weight_unit
-                            wb *= float(weights[n, b]) * weight_unit
-                            wc *= float(weights[n, c]) * weight_unit
-                            wd *= float(weights[n, d]) * weight_unit
+                            wa *= float(weights[n * weight_step, a]) * weight_unit
+                            wb *= float(weights[n * weight_step, b]) * weight_unit
+                            wc *= float(weights[n * weight_step, c]) * weight_unit
+                            wd *= float(weights[n * weight_step, d]) * weight_unit
                         total += (
                             as_value(images[n, a]) * wa
                             + as_value(images[n, b]) * wb
@@ -153,8 +118,8 @@ class Integrator:
         images: Shape (N, H, W, 3) RGB or (N, H, W) grey; uint8, uint16 or float32; NumPy, DLPack
             or `__cuda_array_interface__`. Nothing is copied that already lies on the device.
         world_from_camera: Shape (N, 4, 4), pose of each photo, world NED [m].
-        weights: Shape (N, H, W), uint8 (255 = weight 1), bool or float32 (not negative): how much
-            each pixel counts; None for 1 everywhere.
+        weights: Shape (N, H, W), or (H, W) for all photos; uint8 (255 = weight 1), bool or float32
+            (not negative): how much each pixel counts; None for 1 everywhere.
         device: "cpu", "cuda:0", ...; by default where the images lie.
 
     Raises:
@@ -196,13 +161,14 @@ class Integrator:
         if weights is None:
             return wp.empty((1, 1), dtype=wp.uint8, device=self.device), 0.0
         array = to_array(weights, self.device, "weights")
-        expected = (stack.count, stack.height, stack.width)
-        if tuple(array.shape) != expected:
-            raise ValueError(f"weights must have shape {expected}, got {tuple(array.shape)}")
+        shape = tuple(array.shape)
+        size = (stack.height, stack.width)
+        if shape not in (size, (stack.count, *size)):
+            raise ValueError(f"weights must have shape {(stack.count, *size)}, got {shape}")
         if array.dtype not in (wp.uint8, wp.float32):
             raise TypeError(f"weights must be uint8 or float32, got {array.dtype.__name__}")
         unit = 1.0 / 255.0 if array.dtype is wp.uint8 else 1.0
-        return pixel_view(array, array.dtype, (stack.count, stack.size)), unit
+        return pixel_view(array, array.dtype, (array.size // stack.size, stack.size)), unit
 
     def __len__(self) -> int:
         return self._stack.count
@@ -313,7 +279,8 @@ class Integrator:
         stack = self._stack
         value = wp.vec3 if stack.channels == 3 else wp.float32
         kernel = _gather_kernel(stack.pixel, self._weights.dtype, value)
-        photos = [stack.pixels, self._weights, self._weight_unit]
+        step = int(self._weights.shape[0] > 1)
+        photos = [stack.pixels, self._weights, self._weight_unit, step]
         size = points.size
         results = [pixel_view(image, value, (size,)), pixel_view(footprint, wp.float32, (size,))]
         launch(kernel, size, [*setup, points, *photos, *results], self.device)

@@ -62,6 +62,84 @@ def store(value: wp.vec3, like: wp.vec3) -> wp.vec3:  # noqa: F811
     return value
 
 
+@wp.func
+def as_value(pixel: wp.vec3ub) -> wp.vec3:
+    """Pixel as what is summed up: a vector for RGB."""
+    return as_vec3(pixel)
+
+
+@wp.func
+def as_value(pixel: wp.vec3us) -> wp.vec3:  # noqa: F811 - Warp overloads by type
+    """Pixel as what is summed up: a vector for RGB."""
+    return as_vec3(pixel)
+
+
+@wp.func
+def as_value(pixel: wp.vec3) -> wp.vec3:  # noqa: F811
+    """Pixel as what is summed up: a vector for RGB."""
+    return pixel
+
+
+@wp.func
+def as_value(pixel: wp.uint8) -> float:  # noqa: F811
+    """Pixel as what is summed up: a number for grey."""
+    return float(pixel)
+
+
+@wp.func
+def as_value(pixel: wp.uint16) -> float:  # noqa: F811
+    """Pixel as what is summed up: a number for grey."""
+    return float(pixel)
+
+
+@wp.func
+def as_value(pixel: float) -> float:  # noqa: F811
+    """Pixel as what is summed up: a number for grey."""
+    return pixel
+
+
+@wp.func
+def store(value: float, like: wp.uint8) -> wp.uint8:  # noqa: F811
+    """Value rounded and clamped to the type of the second argument."""
+    return wp.uint8(wp.clamp(value + 0.5, 0.0, 255.0))
+
+
+@wp.func
+def store(value: float, like: wp.uint16) -> wp.uint16:  # noqa: F811
+    """Value rounded and clamped to the type of the second argument."""
+    return wp.uint16(wp.clamp(value + 0.5, 0.0, 65535.0))
+
+
+@wp.func
+def store(value: float, like: float) -> float:  # noqa: F811
+    """Value as it is."""
+    return value
+
+
+@wp.func
+def brightness(value: wp.vec3) -> float:
+    """Greatest channel of a colour."""
+    return wp.max(value[0], wp.max(value[1], value[2]))
+
+
+@wp.func
+def brightness(value: float) -> float:  # noqa: F811
+    """Grey level."""
+    return value
+
+
+@wp.func
+def as_colour(value: wp.vec3) -> wp.vec3:
+    """Colour of a pixel."""
+    return value
+
+
+@wp.func
+def as_colour(value: float) -> wp.vec3:  # noqa: F811
+    """Grey as a colour of three equal channels."""
+    return wp.vec3(value, value, value)
+
+
 def to_array(values: Any, device: Any, name: str) -> Any:
     """Return any array as a contiguous Warp array of uint8, uint16 or float32 on the device.
 

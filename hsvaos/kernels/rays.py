@@ -7,7 +7,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from hsvaos.camera import Camera, VirtualCamera
-from hsvaos.kernels.device import launch
+from hsvaos.kernels.device import launch, resolve_device
 from hsvaos.kernels.lens import Lens, back_project, lens
 from hsvaos.surface import FocalPlane, FocalSurface, FocalTerrain
 
@@ -178,12 +178,13 @@ def focal_points(
         view: The virtual camera or ground grid.
         surface: Plane of any orientation, or height field.
         out: Warp array (H * W) of vec4, written in place; new if None.
-        device: Warp device.
+        device: Where to run.
 
     Returns:
         Warp array (H * W) of vec4: north, east, down minus those of the view's centre [m], and 1;
         all 0 where the ray meets nothing.
     """
+    device = resolve_device(device)
     size = view.width * view.height
     hits = wp.empty(size, dtype=wp.vec4, device=device) if out is None else out
     eye = Eye()

@@ -76,12 +76,8 @@ def _row_moments(
         covered = covered and footprint[row, column + reach] >= least
         if covered and least > 0.0:
             band_pass = wp.float64(centre_surround(image, row, column, core, ring))
-            dx = wp.float64(
-                grey(image, row, column + 1) - grey(image, row, column - 1)
-            ) * wp.float64(0.5)
-            dy = wp.float64(
-                grey(image, row + 1, column) - grey(image, row - 1, column)
-            ) * wp.float64(0.5)
+            dx = wp.float64(grey(image, row, column + 1) - grey(image, row, column - 1))
+            dy = wp.float64(grey(image, row + 1, column) - grey(image, row - 1, column))
             square = band_pass * band_pass
             count += wp.float64(1.0)
             second += square

@@ -1,1 +1,1 @@
-"""What a run leaves for people to look at: pictures, GeoJSON, GeoTIFF, an HTML page."""
+"""What a run leaves on disk: pictures, arrays, finds, GeoTIFF and an HTML page."""

@@ -1,0 +1,162 @@
+"""Which focal surface a run uses: asked for, the flight's ground, or searched by autofocus."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hsvaos.camera import VirtualCamera
+from hsvaos.flight import Flight, FlightError
+from hsvaos.kernels.integrate import Integrator
+from hsvaos.kernels.sweep import best_focus, focus_measure
+from hsvaos.photos import Progress
+from hsvaos.settings import FocusSettings
+from hsvaos.surface import FocalPlane, FocalSurface, FocalTerrain
+
+_SEARCH_PX = 512
+"""Longest side of the views that autofocus renders; more only costs time."""
+
+_PLANES_AT_ONCE = 8
+
+_WEAK = 0.5
+"""Prominence below which a focus peak deserves a warning."""
+
+
+def choose_surface(
+    flight: Flight,
+    settings: FocusSettings,
+    integrator: Integrator,
+    progress: Progress | None = None,
+) -> tuple[FocalSurface, tuple[str, ...]]:
+    """Return the focal surface of a run, and what the user should know of the choice.
+
+    In this order: the plane, terrain or autofocus that the settings ask for; the flight's own
+    terrain; the flight's ground height; autofocus.
+
+    Args:
+        flight: The flight, with poses.
+        settings: What is asked for.
+        integrator: Plain photos, for autofocus.
+        progress: Told of every plane of an autofocus.
+
+    Raises:
+        FlightError: If the surface lies above all cameras, or a terrain cannot be read.
+    """
+    notes: list[str] = []
+    surface: FocalSurface
+    terrain = settings.terrain or (flight.terrain if settings.down_m is None else None)
+    if settings.autofocus:
+        terrain = None
+    if settings.down_m is not None:
+        surface = FocalPlane(settings.down_m)
+    elif terrain is not None:
+        origin = flight.origin
+        place = (origin.lat_deg, origin.lon_deg, origin.height_m) if origin else None
+        surface = FocalTerrain.from_file(Path(terrain), place)
+    elif flight.ground_down_m is not None and not settings.autofocus:
+        surface = FocalPlane(flight.ground_down_m)
+    else:
+        down, note = autofocus(flight, settings, integrator, progress)
+        if not settings.autofocus:
+            note += "; the flight does not say where its ground is: give --focus-down or --terrain"
+        surface = FocalPlane(down)
+        notes.append(note)
+    notes += check_above(flight, surface)
+    return surface, tuple(notes)
+
+
+def autofocus(
+    flight: Flight,
+    settings: FocusSettings,
+    integrator: Integrator,
+    progress: Progress | None = None,
+) -> tuple[float, str]:
+    """Search the plane where small rare things are sharpest, from the centre frame's view.
+
+    Args:
+        flight: The flight.
+        settings: Range and number of planes.
+        integrator: Plain photos.
+        progress: Told of every batch of planes.
+
+    Returns:
+        Down of the plane [m], and a line about it.
+
+    Raises:
+        ValueError: If the range makes no sense.
+    """
+    downs = search_planes(flight, settings)
+    view = search_view(flight)
+    curve = np.zeros(len(downs))
+    for start in range(0, len(downs), _PLANES_AT_ONCE):
+        part = slice(start, start + _PLANES_AT_ONCE)
+        stack, footprint = integrator.sweep(view, downs[part])
+        curve[part] = focus_measure(stack, footprint)
+        if progress is not None:
+            progress("searching focus", min(part.stop, len(downs)), len(downs))
+    down, prominence = best_focus(downs, curve)
+    note = f"autofocus: focal plane at down = {down:.2f} m"
+    if prominence < _WEAK:
+        note += f" (a weak peak, {100 * prominence:.0f} % above its valleys: check it by a sweep)"
+    return down, note
+
+
+def search_view(flight: Flight, longest_px: int = _SEARCH_PX) -> VirtualCamera:
+    """Return the centre frame's view at a size fit for searching."""
+    view = flight.view(flight.centre_index)
+    camera = flight.camera.without_distortion()
+    factor = min(1.0, longest_px / max(camera.width, camera.height))
+    size = (max(1, round(camera.width * factor)), max(1, round(camera.height * factor)))
+    return VirtualCamera(camera.scaled(*size), view.world_from_camera)
+
+
+def search_planes(flight: Flight, settings: FocusSettings) -> NDArray[np.float64]:
+    """Return the depths of an autofocus, even in 1 / distance, as parallax is.
+
+    The default range is 30 m around the flight's ground where that is known; else from half to
+    eight times the length of the camera path below the lowest camera.
+
+    Raises:
+        ValueError: If the range is empty or lies above the cameras.
+    """
+    places = flight.poses[:, :3, 3]
+    lowest, middle = float(places[:, 2].max()), float(places[:, 2].mean())
+    length = float(np.linalg.norm(np.ptp(places, axis=0)))
+    if flight.ground_down_m is not None:
+        first = max(flight.ground_down_m - 30.0, 0.5 * (lowest + flight.ground_down_m))
+        last = flight.ground_down_m + 30.0
+    else:
+        first, last = lowest + 0.5 * length, lowest + 8.0 * length
+    first = first if settings.from_m is None else settings.from_m
+    last = last if settings.to_m is None else settings.to_m
+    if not lowest < first < last:
+        raise ValueError(
+            f"the search for focus must run downwards below the cameras (lowest at down = "
+            f"{lowest:.2f} m), got from {first:.2f} m to {last:.2f} m"
+        )
+    nearness = np.linspace(1.0 / (first - middle), 1.0 / (last - middle), settings.steps)
+    return np.asarray(middle + 1.0 / nearness)
+
+
+def check_above(flight: Flight, surface: FocalSurface) -> list[str]:
+    """Return a warning where some cameras lie below the focal surface.
+
+    Raises:
+        FlightError: If all of them do.
+    """
+    places = flight.poses[:, :3, 3]
+    if isinstance(surface, FocalPlane):
+        upwards = surface.normal if surface.normal[2] < 0.0 else -surface.normal
+        heights = (places - surface.point) @ upwards
+    else:
+        heights = surface.lowest_m - places[:, 2]
+    below = int((heights <= 0.0).sum())
+    if below == len(places):
+        raise FlightError(
+            f"the focal surface lies above all {len(places)} cameras (they are between down = "
+            f"{places[:, 2].min():.2f} m and {places[:, 2].max():.2f} m): down grows towards the "
+            f"ground, give a larger one"
+        )
+    return [f"{below} of {len(places)} cameras lie below the focal surface"] if below else []

@@ -1,0 +1,142 @@
+"""The photos of a flight on a device: decoded ahead of the kernels, each once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from hsvaos.flight import Flight, FlightError, Frame
+from hsvaos.formats.images import photos_ahead
+from hsvaos.kernels.pixels import scalar_type
+
+Progress = Callable[[str, int, int], None]
+"""Called with a stage's name, steps done and steps in all."""
+
+_BYTES_A_PIXEL = 2
+"""Mask and rarity weight of every pixel, beside the photo and its brightened copy."""
+
+
+@dataclass(frozen=True, eq=False)
+class Photos:
+    """Photos on a device, with what is known of them.
+
+    Args:
+        flight: The frames that could be decoded, with the camera of the photos as held.
+        images: Warp array, shape (N, H, W, 3) or (N, H, W); uint8, uint16 or float32.
+        valid: User masks: shape (H, W) for all or (N, H, W), uint8, 255 = use; None for all.
+        notes: What was left out, one line each.
+    """
+
+    flight: Flight
+    images: Any
+    valid: NDArray[np.uint8] | None
+    notes: tuple[str, ...]
+
+    @property
+    def is_colour(self) -> bool:
+        """Whether the photos are RGB."""
+        return len(self.images.shape) == 4
+
+    def valid_of(self, index: int) -> NDArray[np.uint8]:
+        """Return the user mask of one photo, shape (H, W), uint8."""
+        if self.valid is None:
+            return np.full(self.images.shape[1:3], 255, np.uint8)
+        return self.valid if self.valid.ndim == 2 else np.asarray(self.valid[index])
+
+
+def load_photos(
+    flight: Flight,
+    scale: float = 1.0,
+    device: Any = None,
+    progress: Progress | None = None,
+) -> Photos:
+    """Decode all photos of a flight onto a device; those that cannot be are named and left out.
+
+    Args:
+        flight: The flight.
+        scale: Factor on width and height, 0 < scale <= 1.
+        device: Warp device.
+        progress: Told of every photo.
+
+    Raises:
+        FlightError: If no photo is left, or they need more memory than there is.
+    """
+    camera = flight.camera
+    width, height = (max(1, round(side * scale)) for side in (camera.width, camera.height))
+    faults: list[tuple[Frame, FlightError]] = []
+    good: list[int] = []
+    masks: dict[int, NDArray[np.uint8]] = {}
+    images: Any = None
+    photos = photos_ahead(flight, on_error=lambda frame, error: faults.append((frame, error)))
+    for index, photo in enumerate(photos):
+        if photo is not None:
+            image = _resized(photo.image, width, height)
+            if images is None:
+                shape = (len(flight), *image.shape)
+                _check_memory(shape, image.dtype.itemsize, flight)
+                images = wp.empty(shape, dtype=scalar_type(image.dtype), device=device)
+            if photo.alpha is not None:
+                masks[len(good)] = _resized(photo.alpha, width, height)
+            images[len(good)].assign(np.ascontiguousarray(image))
+            good.append(index)
+        if progress is not None:
+            progress("decoding photos", index + 1, len(flight))
+    notes = []
+    if faults:
+        names = ", ".join(frame.name for frame, _ in faults[:3])
+        notes.append(
+            f"{len(faults)} of {len(flight)} photos left out ({names}"
+            f"{', ...' if len(faults) > 3 else ''}): {faults[0][1]}"
+        )
+    if not good:
+        raise FlightError(f"{flight.source}: no photo can be used: {faults[0][1]}")
+    kept = replace(flight.subset(good), camera=camera.scaled(width, height))
+    return Photos(kept, images[: len(good)], _combined(masks, len(good)), tuple(notes))
+
+
+def _resized(image: NDArray[Any], width: int, height: int) -> NDArray[Any]:
+    if image.shape[:2] == (height, width):
+        return image
+    return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+
+
+def _combined(masks: dict[int, NDArray[np.uint8]], count: int) -> NDArray[np.uint8] | None:
+    """One mask where all photos have the same, a stack where they differ, None where none has."""
+    if not masks:
+        return None
+    first = next(iter(masks.values()))
+    if len(masks) == count and all(np.array_equal(mask, first) for mask in masks.values()):
+        return first
+    stack = np.full((count, *first.shape), 255, np.uint8)
+    for index, mask in masks.items():
+        stack[index] = mask
+    return stack
+
+
+def _check_memory(shape: tuple[int, ...], itemsize: int, flight: Flight) -> None:
+    pixels = shape[0] * shape[1] * shape[2]
+    channels = shape[3] if len(shape) == 4 else 1
+    needed = pixels * (2 * channels * itemsize + _BYTES_A_PIXEL)
+    free = _free_memory()
+    if free is not None and needed > free:
+        raise FlightError(
+            f"{flight.source}: {shape[0]} photos of {shape[2]} x {shape[1]} px need "
+            f"{needed / 2**30:.1f} GiB of memory, {free / 2**30:.1f} GiB are free: use a smaller "
+            f"scale (--scale 0.5 needs a quarter)"
+        )
+
+
+def _free_memory() -> int | None:
+    """Bytes that programs can still get, or None where the system does not say."""
+    try:
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+        return next(int(line.split()[1]) for line in lines if line.startswith("MemAvail")) * 1024
+    except (OSError, ValueError, IndexError, StopIteration):
+        return None

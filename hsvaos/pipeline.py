@@ -1,0 +1,107 @@
+"""From a flight to persons on the ground: the whole data flow on one screen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from time import perf_counter
+from typing import Any
+
+from hsvaos.detect.locate import merge_views
+from hsvaos.flight import Flight
+from hsvaos.focusing import choose_surface
+from hsvaos.kernels.device import resolve_device
+from hsvaos.kernels.integrate import Integrator
+from hsvaos.masking import make_masks
+from hsvaos.photos import Progress, load_photos
+from hsvaos.rendering import make_renderer
+from hsvaos.result import Result, ViewResult
+from hsvaos.settings import Settings
+from hsvaos.viewing import choose_views
+
+
+def run(
+    flight: Flight,
+    settings: Settings | None = None,
+    *,
+    device: Any = "cpu",
+    progress: Progress | None = None,
+    on_view: Callable[[ViewResult], None] | None = None,
+) -> Result:
+    """See through the canopy: mask, integrate, detect, locate.
+
+    Args:
+        flight: Photos with poses; see `hsvaos.open_flight`.
+        settings: What to do; the defaults are those of the command line.
+        device: "cpu", "cuda:0", ...
+        progress: Called with stage, steps done and steps in all.
+        on_view: Called with every view as it is rendered; `Result` holds the pictures of one only.
+
+    Returns:
+        Pictures of the main view, detections of every view, persons, statistics and notes.
+
+    Raises:
+        FlightError: If the flight cannot be used; the message says what was expected and what came.
+        ValueError: If a setting or the device makes no sense.
+    """
+    settings = settings or Settings()
+    where = resolve_device(device)
+    clock = _Clock()
+
+    photos = load_photos(flight, settings.photos.scale, where, progress)
+    poses = photos.flight.poses
+    clock("decode")
+    masks = make_masks(photos, settings, progress)
+    clock("mask")
+    plain = Integrator(photos.flight.camera, photos.images, poses, photos.valid)
+    surface, focus_notes = choose_surface(photos.flight, settings.focus, plain, progress)
+    clock("focus")
+    views, shown = choose_views(photos.flight, settings.view, surface)
+    renderer = make_renderer(photos, masks, plain, settings, surface)
+    main, main_finds = renderer.render(*views[shown], extra=True)
+    finds, detections = [], []
+    for i, (name, view) in enumerate(views):
+        rendered, found = (main, main_finds) if i == shown else renderer.render(name, view)
+        finds.append(found)
+        detections.append((name, rendered.detections))
+        if on_view is not None:
+            on_view(rendered)
+        if progress is not None:
+            progress("integrating", i + 1, len(views))
+    clock("integrate and detect")
+    persons = merge_views(finds, settings.detect.person_m, photos.flight.origin)
+
+    frames = photos.flight.frames
+    names = [frame.name for frame in frames]
+    index = names.index(main.frame) if main.frame in names else photos.flight.centre_index
+    weights = masks.chosen(settings.mask.method)
+    return Result(
+        flight=photos.flight,
+        settings=settings,
+        surface=surface,
+        main=main,
+        views=tuple(detections),
+        persons=persons,
+        photo=photos.images[index].numpy(),
+        photo_mask=photos.valid_of(index) if weights is None else weights[index].numpy(),
+        photo_rarity=masks.rarity[index].numpy(),
+        photo_frame=names[index],
+        mask_stats=masks.stats,
+        hue_histogram=masks.hue_histogram,
+        notes=(*flight.notes, *photos.notes, *masks.notes, *focus_notes),
+        timings_s=clock.seconds,
+        mask=settings.mask.method,
+        detected=settings.detect.enabled,
+    )
+
+
+class _Clock:
+    """Seconds by stage."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self.last = perf_counter()
+
+    def __call__(self, stage: str) -> None:
+        now = perf_counter()
+        self.seconds[stage] = now - self.last
+        self.last = now

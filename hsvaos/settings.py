@@ -1,0 +1,282 @@
+"""Settings of every stage, frozen, with TOML in and out."""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from types import UnionType
+from typing import Any, get_args, get_type_hints
+
+MASKS = ("hue", "rarity", "anomaly", "none")
+
+
+@dataclass(frozen=True)
+class PhotoSettings:
+    """How photos are taken in.
+
+    Args:
+        scale: Factor on width and height while decoding, 0 < scale <= 1; 1 keeps every pixel.
+        level: Level exposure and white balance across the frames before colours are judged.
+    """
+
+    scale: float = 1.0
+    level: bool = True
+
+    def __post_init__(self) -> None:
+        _require(0.0 < self.scale <= 1.0, "photos.scale", "a factor in (0, 1]", self.scale)
+
+
+@dataclass(frozen=True)
+class MaskSettings:
+    """Which pixels count, and how much.
+
+    Args:
+        method: "hue" (the paper's 2-sigma cut), "rarity" (weight by rareness of colour),
+            "anomaly" (RX) or "none".
+        sigmas: Half width of the hue cut.
+        statistics: "circular" or "linear" (the paper's).
+        scope: "image" or "flight".
+        brighten: Whether kept dark pixels are brightened (section 3.1 of the paper).
+        target_value: Value below which a pixel counts as dark, 0..1.
+        gamma: Exponent of the brightening, 0..1.
+        max_gain: Largest factor of the brightening.
+        rarity_threshold: Probability of a colour bin below which a colour has full weight.
+        grey_rarity_threshold: The same for grey levels of grey photos.
+        rarity_exponent: Exponent of the rarity weight.
+        rarity_smoothing_bins: Sigma of the smoothing of the colour histogram [bins].
+        anomaly_quantile: Share of the pixels that the RX mask cuts.
+    """
+
+    method: str = "hue"
+    sigmas: float = 2.0
+    statistics: str = "circular"
+    scope: str = "image"
+    brighten: bool = True
+    target_value: float = 0.5
+    gamma: float = 0.5
+    max_gain: float = 4.0
+    rarity_threshold: float = 2e-4
+    grey_rarity_threshold: float = 1.25e-3
+    rarity_exponent: float = 1.5
+    rarity_smoothing_bins: float = 1.0
+    anomaly_quantile: float = 0.99
+
+    def __post_init__(self) -> None:
+        _one_of(self.method, "mask.method", MASKS)
+        _one_of(self.statistics, "mask.statistics", ("circular", "linear"))
+        _one_of(self.scope, "mask.scope", ("image", "flight"))
+        _require(self.sigmas > 0.0, "mask.sigmas", "a positive number", self.sigmas)
+        _require(0.0 < self.target_value <= 1.0, "mask.target_value", "(0, 1]", self.target_value)
+        _require(0.0 < self.gamma <= 1.0, "mask.gamma", "a number in (0, 1]", self.gamma)
+        _require(self.max_gain >= 1.0, "mask.max_gain", "at least 1", self.max_gain)
+        for name in ("rarity_threshold", "grey_rarity_threshold", "rarity_exponent"):
+            value = getattr(self, name)
+            _require(value > 0.0, f"mask.{name}", "a positive number", value)
+        smoothing = self.rarity_smoothing_bins
+        _require(smoothing >= 0.0, "mask.rarity_smoothing_bins", "0 or more", smoothing)
+        quantile = self.anomaly_quantile
+        _require(0.0 < quantile < 1.0, "mask.anomaly_quantile", "between 0 and 1", quantile)
+
+
+@dataclass(frozen=True)
+class FocusSettings:
+    """Where the focal surface lies. At most one of down_m, terrain and autofocus.
+
+    Args:
+        down_m: Down of a horizontal focal plane [m]; by default the flight's ground.
+        terrain: File of a terrain model, see `FocalTerrain.from_file`.
+        autofocus: Search for the plane where small rare things are sharpest.
+        from_m: Upper end of that search [m]; by default from the flight's geometry.
+        to_m: Lower end of that search [m].
+        steps: Planes of that search.
+    """
+
+    down_m: float | None = None
+    terrain: str | None = None
+    autofocus: bool = False
+    from_m: float | None = None
+    to_m: float | None = None
+    steps: int = 48
+
+    def __post_init__(self) -> None:
+        asked = [self.down_m is not None, self.terrain is not None, self.autofocus]
+        _require(sum(asked) <= 1, "focus", "only one of down_m, terrain and autofocus", "several")
+        _require(self.steps >= 3, "focus.steps", "at least 3 planes", self.steps)
+
+
+@dataclass(frozen=True)
+class ViewSettings:
+    """What is rendered.
+
+    Args:
+        frame: "centre", "all", "ortho", or the name or number of a frame.
+        gsd_m: Ground sampling distance of the ground grid [m]; by default that of the photos.
+        aperture_m: Radius of the synthetic aperture [m]; by default all photos count.
+    """
+
+    frame: str = "centre"
+    gsd_m: float | None = None
+    aperture_m: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("gsd_m", "aperture_m"):
+            value = getattr(self, name)
+            _require(value is None or value > 0.0, f"view.{name}", "a positive length", value)
+
+
+@dataclass(frozen=True)
+class DetectSettings:
+    """What counts as a find.
+
+    Args:
+        enabled: Whether to look for finds.
+        min_z: Local z of the rarity map from which a peak is a find.
+        person_m: Length of a person, the size of a find's surround and of its box [m].
+        min_rays: Rays a pixel needs to be judged.
+        max_finds: Strongest finds kept in a view.
+    """
+
+    enabled: bool = True
+    min_z: float = 6.0
+    person_m: float = 1.8
+    min_rays: float = 2.0
+    max_finds: int = 50
+
+    def __post_init__(self) -> None:
+        _require(self.min_z > 0.0, "detect.min_z", "a positive number", self.min_z)
+        _require(self.person_m > 0.0, "detect.person_m", "a positive length", self.person_m)
+        _require(self.min_rays >= 0.0, "detect.min_rays", "0 or more", self.min_rays)
+        _require(self.max_finds >= 1, "detect.max_finds", "at least 1", self.max_finds)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """All settings of a run; every stage has its own table in TOML.
+
+    Args:
+        photos: How photos are taken in.
+        mask: Which pixels count.
+        focus: Where the focal surface lies.
+        view: What is rendered.
+        detect: What counts as a find.
+
+    Raises:
+        ValueError: If a value is out of range; the message names the setting.
+    """
+
+    photos: PhotoSettings = field(default_factory=PhotoSettings)
+    mask: MaskSettings = field(default_factory=MaskSettings)
+    focus: FocusSettings = field(default_factory=FocusSettings)
+    view: ViewSettings = field(default_factory=ViewSettings)
+    detect: DetectSettings = field(default_factory=DetectSettings)
+
+    def with_values(self, **tables: dict[str, Any]) -> Settings:
+        """Return the settings with some values changed.
+
+        Args:
+            tables: Dictionaries of new values by table name; values of None change nothing.
+        """
+        changed = {
+            name: dataclasses.replace(
+                getattr(self, name), **{k: v for k, v in table.items() if v is not None}
+            )
+            for name, table in tables.items()
+        }
+        return dataclasses.replace(self, **changed)
+
+    def to_toml(self) -> str:
+        """Return the settings as TOML, every default written out; what is not set is left out."""
+        lines: list[str] = []
+        for stage in fields(self):
+            table = getattr(self, stage.name)
+            lines.append(f"[{stage.name}]")
+            for entry in fields(table):
+                value = getattr(table, entry.name)
+                if value is not None:
+                    lines.append(f"{entry.name} = {_toml_value(value)}")
+            lines.append("")
+        return "\n".join(lines)
+
+    @classmethod
+    def from_toml(cls, text: str, where: str = "settings") -> Settings:
+        """Read settings from TOML; what is not there keeps its default.
+
+        Args:
+            text: The TOML.
+            where: What to call it in messages.
+
+        Raises:
+            ValueError: If it is no TOML, or a table, key, type or value is not known or allowed.
+        """
+        try:
+            content = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            raise ValueError(f"{where}: no valid TOML: {error}") from None
+        stages = {stage.name: stage.default_factory for stage in fields(cls)}
+        _known(content, stages, where, "table")
+        read = {}
+        for name, table in content.items():
+            kind: Any = stages[name]
+            if not isinstance(table, dict):
+                raise ValueError(f"{where}: {name} must be a table [{name}], got {table!r}")
+            hints = get_type_hints(kind)
+            _known(table, hints, f"{where}: [{name}]", "key")
+            values = {
+                key: _checked(value, hints[key], f"{where}: {name}.{key}")
+                for key, value in table.items()
+            }
+            try:
+                read[name] = kind(**values)
+            except ValueError as error:
+                raise ValueError(f"{where}: {error}") from None
+        return cls(**read)
+
+    @classmethod
+    def from_file(cls, path: str | Path) -> Settings:
+        """Read settings from a TOML file.
+
+        Raises:
+            OSError: If it cannot be read.
+            ValueError: As `from_toml`.
+        """
+        try:
+            text = Path(path).read_text(encoding="utf-8")
+        except UnicodeDecodeError:
+            raise ValueError(f"{path}: expected a text file in UTF-8") from None
+        return cls.from_toml(text, str(path))
+
+
+def _require(condition: bool, name: str, expected: str, got: object) -> None:
+    if not condition:
+        raise ValueError(f"{name} must be {expected}, got {got!r}")
+
+
+def _one_of(value: str, name: str, allowed: tuple[str, ...]) -> None:
+    _require(value in allowed, name, "one of " + ", ".join(allowed), value)
+
+
+def _known(given: dict[str, Any], allowed: dict[str, Any], where: str, what: str) -> None:
+    unknown = [key for key in given if key not in allowed]
+    if unknown:
+        raise ValueError(f"{where}: no {what} {unknown[0]!r}; known are {', '.join(allowed)}")
+
+
+def _checked(value: Any, hint: Any, name: str) -> Any:
+    kinds = get_args(hint) if isinstance(hint, UnionType) else (hint,)
+    if float in kinds and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if not any(type(value) is kind for kind in kinds):
+        expected = " or ".join(k.__name__ for k in kinds if k is not type(None))
+        raise ValueError(f"{name} must be {expected}, got {value!r}")
+    return value
+
+
+def _toml_value(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+        return f'"{escaped}"'
+    return repr(value)

@@ -1,0 +1,94 @@
+"""Which virtual cameras a run renders."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hsvaos.camera import VirtualCamera
+from hsvaos.flight import Flight, FlightError
+from hsvaos.settings import ViewSettings
+from hsvaos.surface import FocalPlane, FocalSurface, FocalTerrain
+
+_MAX_GRID_PX = 120_000_000
+_REACH = 4.0
+"""Ground farther away than this many heights is left out of the grid: a horizon has no end."""
+
+
+def choose_views(
+    flight: Flight, settings: ViewSettings, surface: FocalSurface
+) -> tuple[list[tuple[str, VirtualCamera]], int]:
+    """Return names and virtual cameras to render, and the number of the one that pictures show.
+
+    Args:
+        flight: The flight, with poses.
+        settings: What is asked for.
+        surface: The focal surface, for the extent of the ground grid.
+
+    Raises:
+        FlightError: If a frame is not there or the grid would be too large.
+    """
+    if settings.frame == "ortho":
+        return [("ortho", ground_grid(flight, surface, settings.gsd_m))], 0
+    if settings.frame == "all":
+        views = [(frame.name, flight.view(i)) for i, frame in enumerate(flight.frames)]
+        return views, flight.centre_index
+    centre = settings.frame in ("centre", "center")
+    index = flight.centre_index if centre else flight.index(settings.frame)
+    return [(flight.frames[index].name, flight.view(index))], 0
+
+
+def ground_grid(flight: Flight, surface: FocalSurface, gsd_m: float | None) -> VirtualCamera:
+    """Return the grid that covers what the photos see of the ground.
+
+    Args:
+        flight: The flight, with poses.
+        surface: The focal surface; a terrain counts as level at its middle.
+        gsd_m: Ground sampling distance [m]; by default the median one of the photos' centres.
+
+    Raises:
+        FlightError: If the photos see no ground, or the grid would have too many pixels.
+    """
+    level = _level(surface)
+    outlines, heights = [], []
+    edge = _border(flight.camera.width, flight.camera.height)
+    for pose in flight.poses:
+        rays = flight.camera.back_project(edge) @ pose[:3, :3].T
+        height = level - pose[2, 3]
+        if height <= 0.0:
+            continue
+        heights.append(height)
+        falling = rays[np.isfinite(rays).all(axis=1) & (rays[:, 2] > 1e-3)]
+        away = falling[:, :2] / falling[:, 2:] * height
+        length = np.linalg.norm(away, axis=1, keepdims=True)
+        away *= np.minimum(1.0, _REACH * height / np.maximum(length, 1e-9))
+        outlines.append(pose[:2, 3] + away)
+    places = np.concatenate(outlines) if outlines else np.zeros((0, 2))
+    if len(places) == 0:
+        raise FlightError(f"{flight.source}: no photo looks down at the focal surface")
+    gsd = gsd_m or float(np.median(heights)) / flight.camera.fx
+    (south, west), (north, east) = places.min(axis=0), places.max(axis=0)
+    width, height_px = (int(np.ceil(side / gsd)) + 1 for side in (east - west, north - south))
+    if width * height_px > _MAX_GRID_PX:
+        raise FlightError(
+            f"a ground grid of {north - south:.0f} m x {east - west:.0f} m at {gsd:.3f} m a pixel "
+            f"has {width * height_px / 1e6:.0f} million pixels, more than "
+            f"{_MAX_GRID_PX / 1e6:.0f} million: give a larger --gsd"
+        )
+    return VirtualCamera.ortho(float(north), float(west), gsd, width, height_px)
+
+
+def _level(surface: FocalSurface) -> float:
+    if isinstance(surface, FocalTerrain):
+        return float(np.nanmedian(surface.down_m))
+    if not isinstance(surface, FocalPlane) or abs(surface.normal[2]) < 1e-6:
+        raise FlightError("a ground grid needs a focal surface that is not vertical")
+    return float(surface.point @ surface.normal / surface.normal[2])
+
+
+def _border(width: int, height: int) -> NDArray[np.float64]:
+    x, y = np.linspace(-0.5, width - 0.5, 33), np.linspace(-0.5, height - 0.5, 33)
+    left, top = np.full(33, -0.5), np.full(33, -0.5)
+    right, bottom = np.full(33, width - 0.5), np.full(33, height - 0.5)
+    sides = [(x, top), (x, bottom), (left, y), (right, y)]
+    return np.concatenate([np.stack(side, axis=-1) for side in sides])
