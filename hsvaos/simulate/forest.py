@@ -97,6 +97,7 @@ class Forest:
         instances: Everything that stands and lies on it.
         stems: Shape (N, 3): north, east [m] and height [m] of every tree.
         bush_mesh: Mesh numbers of leafy bushes, for hiding people under one.
+        meadow_mesh: Mesh numbers of squares of meadow, for clearings.
         atlas: Leaf textures.
     """
 
@@ -106,6 +107,7 @@ class Forest:
     instances: Instances
     stems: Array
     bush_mesh: tuple[int, ...]
+    meadow_mesh: tuple[int, ...]
     atlas: NDArray[np.uint8]
 
     def cleared(self, north: float, east: float, radius_m: float) -> Forest:
@@ -123,15 +125,27 @@ class Forest:
             if old.kind[k] != Kind.TREE
             or np.hypot(old.place[k][0, 3] - north, old.place[k][1, 3] - east) >= radius_m
         ]
+        kept_mesh = [
+            self.meadow_mesh[k * 7 % 5 % len(self.meadow_mesh)]
+            if old.kind[k] == Kind.LITTER
+            and np.hypot(old.place[k][0, 3] - north, old.place[k][1, 3] - east) < radius_m - 2.0
+            else old.mesh[k]
+            for k in kept
+        ]
         instances = Instances(
             list(old.meshes),
-            [old.mesh[k] for k in kept],
+            kept_mesh,
             [old.place[k] for k in kept],
             [old.tint[k] for k in kept],
             [old.kind[k] for k in kept],
         )
         away = np.hypot(self.stems[:, 0] - north, self.stems[:, 1] - east) >= radius_m
-        return replace(self, instances=instances, stems=self.stems[away])
+        ground = self.ground
+        if self.season.ground_snow == 0.0:
+            circle = np.array([[north, east, radius_m]])
+            grass = np.array(self.season.grass)
+            ground = ground.with_meadow(circle, grass, [self.settings.seed, 23])
+        return replace(self, instances=instances, stems=self.stems[away], ground=ground)
 
     def lighting(self) -> Lighting:
         """Return the sun of the settings."""
@@ -167,6 +181,17 @@ class Forest:
         )
 
 
+def glade_circles(settings: ForestSettings) -> Array:
+    """Return the places kept free of trees, shape (N, 3): north, east and radius [m]."""
+    half = settings.half_m
+    rng = np.random.default_rng([settings.seed, 32])
+    count = max(int((2.0 * half / 24.0) ** 2 * 1.2), 1)
+    radius = np.sqrt(settings.glades * (2.0 * half) ** 2 / (np.pi * count)) * 1.06
+    places = rng.uniform(-half, half, (count, 2))
+    radii = radius * rng.uniform(0.6, 1.35, (count, 1))
+    return np.concatenate([places, radii], axis=1)
+
+
 def stem_places(settings: ForestSettings) -> Array:
     """Return where trees stand, shape (N, 2), north and east [m].
 
@@ -186,16 +211,14 @@ def stem_places(settings: ForestSettings) -> Array:
     cell = spacing / np.sqrt(2.0)
     side = int(np.ceil(2.0 * half / cell)) + 1
     taken: dict[tuple[int, int], tuple[float, float]] = {}
-    bumps = rng.uniform(-half, half, (max(int((2.0 * half / 24.0) ** 2 * 3), 4), 2))
-    reach = np.sqrt(settings.glades * (2.0 * half) ** 2 / (np.pi * len(bumps))) * 1.12
     places: list[tuple[float, float]] = []
     tries = wanted * 60
     darts = rng.uniform(-half, half, (tries, 2))
     if settings.glades > 0.0:
-        gap = np.full(tries, np.inf)
-        for bump in bumps:
-            gap = np.minimum(gap, np.hypot(darts[:, 0] - bump[0], darts[:, 1] - bump[1]))
-        darts = darts[gap > reach]
+        free = np.ones(tries, dtype=bool)
+        for north, east, radius in glade_circles(settings):
+            free &= np.hypot(darts[:, 0] - north, darts[:, 1] - east) > radius
+        darts = darts[free]
     for n, e in darts:
         i, j = int((n + half) / cell), int((e + half) / cell)
         near = (
@@ -241,14 +264,18 @@ def grow_forest(settings: ForestSettings) -> Forest:
     half = settings.half_m
     texture = int(np.clip(2.0 * (half + _MARGIN_M) / 0.036, 256, 4096))
     ground = make_ground(settings.seed, look, half + _MARGIN_M, settings.relief_m, texture)
+    if look.ground_snow == 0.0 and settings.glades > 0.0:
+        circles = glade_circles(settings) - (0.0, 0.0, 1.0)
+        ground = ground.with_meadow(circles, np.array(look.grass), [settings.seed, 22])
     instances = Instances()
     # Meshes drawn last come first: ground, then what lies on it, then bushes, then trees.
     for mesh, place in ground.tiles():
         instances.add(instances.add_mesh(mesh), Kind.GROUND, np.eye(3), place)
-    _add_litter(instances, settings, look, ground)
+    meadow = _add_litter(instances, settings, look, ground)
     bushes = _add_bushes(instances, settings, look, ground)
     stems = _add_trees(instances, settings, look, ground)
-    return Forest(settings, look, ground, instances, stems, bushes, draw_atlas(settings.seed))
+    atlas = draw_atlas(settings.seed)
+    return Forest(settings, look, ground, instances, stems, bushes, meadow, atlas)
 
 
 def _tree_mesh(settings: ForestSettings, look: Season, number: int, variant: int) -> Mesh:
@@ -321,13 +348,13 @@ def _add_bushes(
 
 def _add_litter(
     instances: Instances, settings: ForestSettings, look: Season, ground: Ground
-) -> None:
+) -> tuple[int, ...]:
     rng = np.random.default_rng([settings.seed, 61])
     half = settings.half_m
     grass, litter = np.array(look.grass), np.array([rgb for _, rgb in look.litter])
     plenty = 1.0 - 0.8 * look.ground_snow
     # (tufts, cards of fallen leaves) a tile, from bare forest floor to meadow.
-    kinds = [(4, 70), (22, 55), (90, 30), (260, 12)]
+    kinds = [(4, 90), (22, 70), (90, 40), (330, 10)]
     meshes = [
         instances.add_mesh(
             grass_tile(
@@ -341,9 +368,12 @@ def _add_litter(
     centres = (np.arange(count) + 0.5) * GRASS_TILE_M - count * GRASS_TILE_M / 2
     meadow = rng.standard_normal((count + 2, count + 2))
     meadow = (meadow[:-2, 1:-1] + meadow[2:, 1:-1] + meadow[1:-1, :-2] + meadow[1:-1, 2:]) / 2
+    glades = glade_circles(settings)
     for i, north in enumerate(centres):
         for j, east in enumerate(centres):
-            kind = int(np.clip(1.2 + meadow[i, j] + rng.normal(0.0, 0.4), 0, 3))
+            kind = int(np.clip(1.0 + meadow[i, j] + rng.normal(0.0, 0.4), 0, 2))
+            if (np.hypot(glades[:, 0] - north, glades[:, 1] - east) < glades[:, 2]).any():
+                kind = 3 if rng.uniform() < 0.6 else 2
             slope = ground.slope_at(north, east, GRASS_TILE_M / 2)
             # Quarter turns and a shear along the slope keep the square's blades on the ground.
             quarter = int(rng.integers(4))
@@ -369,3 +399,4 @@ def _add_litter(
         instances.add(
             logs[int(rng.integers(3))], Kind.WOOD, shear @ matrix * scale, place, _shade_of(rng, 0.2)
         )
+    return tuple(meshes[4:8])

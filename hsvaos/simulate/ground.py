@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -68,6 +68,37 @@ class Ground:
         east_slope = (self.down_at(n, e + reach_m) - self.down_at(n, e - reach_m)) / 2 / reach_m
         return np.stack([north_slope, east_slope], axis=-1)
 
+    def with_meadow(self, circles: Array, colours: Array, seed: list[int]) -> Ground:
+        """Return the ground with grass painted over circles.
+
+        Args:
+            circles: Shape (N, 3): north, east and radius [m].
+            colours: Shape (K, 3), linear RGB of grass.
+            seed: Of the paint.
+        """
+        rng = np.random.default_rng(seed)
+        size = len(self.colour)
+        axis = self.half_m - (np.arange(size, dtype=np.float32) + 0.5) * self.texel_m
+        inside = np.full((size, size), -1e3, dtype=np.float32)
+        for north, east, radius in circles:
+            away = np.hypot((axis - north)[:, None], (-axis - east)[None, :])
+            inside = np.maximum(inside, np.float32(radius) - away.astype(np.float32))
+        rough = noise(rng, size, max(int(2.0 * self.half_m / 1.7), 1))
+        fine = noise(rng, size, max(int(2.0 * self.half_m / 0.25), 1))
+        cover = np.clip(0.45 + 0.25 * inside + 0.35 * rough + 0.22 * fine, 0.0, 0.93)
+        cover[inside < -6.0] = 0.0
+        patch = noise(rng, size, max(int(2.0 * self.half_m / 4.0), 1)) + 0.5 * fine
+        share = np.clip(0.5 + 0.4 * patch, 0.0, 1.0)[..., None]
+        blade = np.exp(
+            0.22 * fine + 0.22 * rng.standard_normal((size, size), dtype=np.float32)
+        )[..., None]
+        first, second = colours[0].astype(np.float32), colours[-1].astype(np.float32)
+        grass = (first * share + second * (1.0 - share)) * blade * np.float32(0.62)
+        old = (self.colour.astype(np.float32) / 255.0) ** 2
+        mixed = old * (1.0 - cover[..., None]) + grass * cover[..., None]
+        root = np.sqrt(np.clip(mixed, 0.0, 1.0)) * 255.0
+        return replace(self, colour=np.asarray(np.rint(root), dtype=np.uint8))
+
     def tiles(self) -> list[tuple[Mesh, Array]]:
         """Return the meshes of square parts of the ground, each with its place, shape (3,)."""
         n = len(self.down_m) - 1
@@ -130,15 +161,15 @@ def _paint(
     for share, _ in season.litter:
         field = 0.8 * noise(rng, size, int(across / 7.0))
         field += 0.7 * noise(rng, size, int(across / 1.3))
-        # Single leaves: coarse grains of about 10 cm.
-        field += 1.1 * noise(rng, size, int(across / 0.10))
+        # Single leaves: grains of about 7 cm.
+        field += 1.2 * noise(rng, size, int(across / 0.07))
         scores.append(field + 1.6 * np.float32(np.log(share)))
     winner = np.argmax(scores, axis=0)
     colours = np.array([rgb for _, rgb in season.litter], dtype=np.float32)
     picture = colours[winner]
     grain = np.exp(
-        0.30 * noise(rng, size, int(across / 0.10))
-        + 0.16 * rng.standard_normal((size, size), dtype=np.float32)
+        0.22 * noise(rng, size, int(across / 0.07))
+        + 0.20 * rng.standard_normal((size, size), dtype=np.float32)
         + 0.18 * noise(rng, size, int(across / 2.2))
     )
     picture *= grain[..., None]

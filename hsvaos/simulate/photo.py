@@ -42,7 +42,7 @@ class CameraEffects:
     full_well: float = 9000.0
     read_noise: float = 4.0
     vignetting: float = 0.22
-    contrast: float = 0.35
+    contrast: float = 0.28
 
     def __post_init__(self) -> None:
         for name, low, high in (

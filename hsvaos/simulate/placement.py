@@ -23,9 +23,9 @@ from hsvaos.simulate.scene import Instances, Kind
 Array = NDArray[np.float64]
 
 _APART_M = 4.0
-_ROUNDS = 4
-_PHOTOS = 24
-_CLEARINGS_M = (9.0, 11.0, 13.0, 15.0)
+_ROUNDS = 3
+_PHOTOS = 20
+_CLEARINGS_M = (11.0, 14.0, 17.0)
 _AIM = {"full": (0.0, 0.045), "half": (0.36, 0.60), "bush": (0.45, 0.95), "open": (0.93, 1.01)}
 """Ranges of the map that are tried first; the map is of the ground, the classes of the body."""
 
@@ -187,7 +187,7 @@ class _Picker:
     ) -> None:
         self._rng = np.random.default_rng([forest.settings.seed, 92])
         reach = max(half_m) + 6.0
-        some = poses[np.unique(np.linspace(0, len(poses) - 1, 45).round().astype(int))]
+        some = poses[np.unique(np.linspace(0, len(poses) - 1, 27).round().astype(int))]
 
         def look(at: Forest) -> VisibilityMap:
             return visibility_map(at.scene(device=device), camera, some, reach)
