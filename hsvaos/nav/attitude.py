@@ -8,6 +8,7 @@ last two of a matrix) is the rotation, leading axes are free and broadcast. Form
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -183,3 +184,32 @@ def to_euler(q: ArrayLike) -> Array:
     pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
     yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     return np.stack([roll, pitch, yaw], axis=-1)
+
+
+def rotation_of(v: Array) -> Array:
+    """Return the matrix (3, 3) of one rotation vector (3,) [rad] (Rodrigues), quickly."""
+    x, y, z = v.tolist()
+    angle2 = x * x + y * y + z * z
+    if angle2 < 1e-12:
+        a, b = 1.0 - angle2 / 6.0, 0.5
+    else:
+        angle = math.sqrt(angle2)
+        a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle2
+    return np.array(
+        [
+            [1.0 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y],
+            [b * x * y + a * z, 1.0 - b * (x * x + z * z), b * y * z - a * x],
+            [b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y)],
+        ]
+    )
+
+
+def small_turn(rotation: Array) -> Array:
+    """Return the rotation vector of one matrix, shape (3,), for turns below half a circle."""
+    m = rotation
+    axis = np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
+    sine = 0.5 * float(np.sqrt(axis @ axis))
+    cosine = 0.5 * (float(m[0, 0] + m[1, 1] + m[2, 2]) - 1.0)
+    if sine < 1e-9:
+        return 0.5 * axis
+    return np.asarray(axis * (0.5 * np.arctan2(sine, cosine) / sine))

@@ -18,7 +18,8 @@ class Lawnmower:
     """Strips over a square, photos at even spacing, a stop at the end of each strip.
 
     The defaults are the mission of the paper: 64 m x 64 m, 9 strips of 13 photos, 20 m above the
-    ground, 5 m/s; the nose points north all the time.
+    ground, 5 m/s, the nose to the north; acceleration and jerk are PX4's defaults (3 m/s^2 and
+    4 m/s^3).
 
     Args:
         size_m: Side of the square [m].
@@ -32,7 +33,12 @@ class Lawnmower:
         sway_m: Spread of the slow wandering about the path that gusts cause [m].
         drag_1_s: Air drag by mass and speed, so that the vehicle leans into its speed [1/s].
         rate_hz: Samples a second of the path.
+        nose: "north" keeps the nose to the north, "track" turns it along the way, with a quarter
+            turn at each corner.
         gravity: Acceleration of gravity [m/s^2].
+
+    Raises:
+        ValueError: If `nose` is neither.
     """
 
     size_m: float = 64.0
@@ -40,13 +46,18 @@ class Lawnmower:
     photos: int = 13
     height_m: float = 20.0
     speed_m_s: float = 5.0
-    acceleration_m_s2: float = 2.0
-    smoothing_s: float = 0.5
-    wait_s: float = 2.0
+    acceleration_m_s2: float = 3.0
+    smoothing_s: float = 0.75
+    wait_s: float = 2.5
     sway_m: float = 0.1
     drag_1_s: float = 0.2
     rate_hz: float = 200.0
+    nose: str = "north"
     gravity: float = 9.80665
+
+    def __post_init__(self) -> None:
+        if self.nose not in ("track", "north"):
+            raise ValueError(f"nose must be 'track' or 'north', got {self.nose!r}")
 
     def fly(self, seed: int = 0) -> tuple[TrueMotion, Array]:
         """Return the true path and the times of the photos.
@@ -59,20 +70,27 @@ class Lawnmower:
         """
         dt = 1.0 / self.rate_hz
         hover = np.zeros((round(self.wait_s * self.rate_hz), 2))
-        pieces, spans, count = [np.repeat(hover, 3, axis=0)], [], 3 * len(hover)
+        wait = len(hover)
+        pieces, spans, count = [np.repeat(hover, 3, axis=0)], [], 3 * wait
+        yaw = [np.zeros(count)]
         for strip in range(self.strips):
             sign = 1.0 if strip % 2 == 0 else -1.0
             speed = self._leg(self.size_m)
             pieces += [np.stack([sign * speed, 0 * speed], axis=1), hover]
-            spans.append((count, count + len(speed) + len(hover)))
-            count += len(speed) + len(hover)
+            heading, last = 0.5 * (1.0 - sign), strip + 1 == self.strips
+            yaw += [np.full(len(speed), heading), _ramp(heading, heading if last else 0.5, wait)]
+            spans.append((count, count + len(speed) + wait))
+            count += len(speed) + wait
             if strip + 1 < self.strips:
                 speed = self._leg(self.size_m / (self.strips - 1))
                 pieces += [np.stack([0 * speed, speed], axis=1), hover]
-                count += len(speed) + len(hover)
+                yaw += [np.full(len(speed), 0.5), _ramp(0.5, 1.0 - heading, wait)]
+                count += len(speed) + wait
         velocity = np.zeros((count, 3))
         velocity[:, :2] = np.concatenate(pieces)
-        velocity = _smooth(velocity, round(self.smoothing_s * self.rate_hz))
+        window = round(self.smoothing_s * self.rate_hz)
+        velocity = _smooth(velocity, window)
+        turn = np.pi * _smooth(np.concatenate(yaw)[:, None], window)[:, 0]
         along = np.cumsum(velocity[:, 0]) * dt
         triggers = []
         for strip, (start, stop) in enumerate(spans):
@@ -86,7 +104,8 @@ class Lawnmower:
         position[1:] = np.cumsum(0.5 * (velocity[1:] + velocity[:-1]), axis=0) * dt
         position += [-self.size_m / 2, -self.size_m / 2, -self.height_m]
         t = np.asarray(np.arange(count) * dt, dtype=np.float64)
-        motion = lean(t, position, velocity, 0.0, self.drag_1_s, self.gravity)
+        heading_rad = turn if self.nose == "track" else 0.0
+        motion = lean(t, position, velocity, heading_rad, self.drag_1_s, self.gravity)
         return motion, np.concatenate(triggers) * dt
 
     def _leg(self, length: float) -> Array:
@@ -153,6 +172,11 @@ def lean(
     return TrueMotion(
         t_s, position, velocity, q, rate, attitude.rotate(attitude.conjugate(q), force)
     )
+
+
+def _ramp(start: float, stop: float, count: int) -> Array:
+    """Return numbers that run evenly from start to stop."""
+    return start + (stop - start) * np.arange(count) / count
 
 
 def _smooth(values: Array, window: int) -> Array:

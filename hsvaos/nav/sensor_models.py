@@ -95,22 +95,33 @@ class BaroModel:
     source: str = ""
 
 
+_ADIS16448 = ImuModel(
+    rate_hz=200.0,
+    gyro_noise=0.0135 * _DEG,
+    accel_noise=0.23 * _MILLI_G,
+    gyro_bias_std=0.5 * _DEG,
+    accel_bias_std=20.0 * _MILLI_G,
+    # In-run bias stability 14.5 deg/h and 0.25 mg as the spread of a Gauss-Markov process; the
+    # datasheet gives no correlation time, 1000 s and 300 s are those of RotorS.
+    gyro_bias_walk=14.5 / 3600.0 * _DEG * np.sqrt(2.0 / 1000.0),
+    accel_bias_walk=0.25 * _MILLI_G * np.sqrt(2.0 / 300.0),
+    gyro_bias_tau_s=1000.0,
+    accel_bias_tau_s=300.0,
+    source="Analog Devices, ADIS16448 datasheet: rate noise density 0.0135 deg/s/sqrt(Hz), "
+    "acceleration noise density 0.23 mg/sqrt(Hz), bias stability 14.5 deg/h and 0.25 mg, "
+    "initial bias error 0.5 deg/s and 20 mg",
+)
+
 IMU_MODELS: dict[str, ImuModel] = {
-    "adis16448": ImuModel(
-        rate_hz=200.0,
-        gyro_noise=0.0135 * _DEG,
-        accel_noise=0.23 * _MILLI_G,
-        gyro_bias_std=0.5 * _DEG,
-        accel_bias_std=20.0 * _MILLI_G,
-        # In-run bias stability 14.5 deg/h and 0.25 mg as the spread of a Gauss-Markov process; the
-        # datasheet gives no correlation time, 1000 s and 300 s are those of RotorS.
-        gyro_bias_walk=14.5 / 3600.0 * _DEG * np.sqrt(2.0 / 1000.0),
-        accel_bias_walk=0.25 * _MILLI_G * np.sqrt(2.0 / 300.0),
-        gyro_bias_tau_s=1000.0,
-        accel_bias_tau_s=300.0,
-        source="Analog Devices, ADIS16448 datasheet: rate noise density 0.0135 deg/s/sqrt(Hz), "
-        "acceleration noise density 0.23 mg/sqrt(Hz), bias stability 14.5 deg/h and 0.25 mg, "
-        "initial bias error 0.5 deg/s and 20 mg",
+    "adis16448": _ADIS16448,
+    "adis16448-calibrated": replace(
+        _ADIS16448,
+        gyro_bias_std=14.5 / 3600.0 * _DEG,
+        accel_bias_std=0.25 * _MILLI_G,
+        gyro_bias_walk=0.0,
+        accel_bias_walk=0.0,
+        source=_ADIS16448.source + "; biases calibrated before the flight to within the bias "
+        "stability, and constant from then on",
     ),
     "adis16448-rotors": ImuModel(
         rate_hz=200.0,
@@ -166,14 +177,15 @@ GNSS_MODELS: dict[str, GnssModel] = {
 
 BARO_MODELS: dict[str, BaroModel] = {
     "calibrated": BaroModel(
-        rate_hz=50.0,
-        noise_std=0.2,
-        source="white noise only, zero set on the ground: what the paper's equation 6 supposes",
+        rate_hz=25.0,
+        noise_std=0.5,
+        source="white noise only, zero set on the ground, as the paper's measurement of height "
+        "supposes; its level: assumed, rotor wash included",
     ),
     "ms5611": BaroModel(
         rate_hz=50.0,
-        noise_std=0.2,
-        bias_std=1.0,
+        noise_std=0.3,
+        bias_std=2.0,
         bias_walk=0.02,
         source="TE Connectivity MS5611 datasheet: resolution 0.1 m and less at 100 Hz, long-term "
         "stability 1 mbar a year; wash and drift: assumed, 0.15 m a minute",

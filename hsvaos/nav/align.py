@@ -1,0 +1,252 @@
+"""The first state of a filter, found in the log itself.
+
+Level and gyroscope bias come from standing still, if the log begins so. Heading comes from motion:
+a bank of short filters starts with headings all around, and the innovations of GNSS tell which one
+explains the way the vehicle speeds up (a magnetometer only adds one more to the bank). The best is
+smoothed back to the start and run again from there, which takes out most of the error of
+linearising about a start that was degrees off.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hsvaos.nav import attitude
+from hsvaos.nav.initial import InitialState
+from hsvaos.nav.log import SensorLog
+from hsvaos.nav.process import gravity_of
+from hsvaos.nav.smoother import smooth
+from hsvaos.nav.states import Innovations, States
+
+if TYPE_CHECKING:
+    from hsvaos.nav.error_state_ekf import ErrorStateEkf
+
+Array = NDArray[np.float64]
+
+_WINDOW_S = 60.0
+_LONGEST_S = 240.0
+_MOVING_M_S = 1.5
+_BANK = 8
+_STILL_RATE = 0.03  # [rad/s], spread of the gyroscope that rotors or an engine still make
+_STILL_FORCE = 0.6  # [m/s^2]
+
+
+def align(log: SensorLog, ekf: ErrorStateEkf, *, rounds: int = 3) -> InitialState:
+    """Return the state at the first fix.
+
+    Args:
+        log: A log that was checked.
+        ekf: The filter that will run; its models are used.
+        rounds: How often the start is smoothed back and tried again, at most.
+
+    Raises:
+        ValueError: If the log has no fix.
+    """
+    start = first_state(log, ekf)
+    stop = _window_end(log, start.t_s)
+    start = _heading(log, ekf, start, stop)
+    return refine(log, ekf, start, stop_s=min(stop, start.t_s + _LONGEST_S), rounds=rounds)
+
+
+def refine(
+    log: SensorLog, ekf: ErrorStateEkf, start: InitialState, *, stop_s: float, rounds: int = 3
+) -> InitialState:
+    """Return a start smoothed back from what followed (an iterated smoother).
+
+    The uncertainty stays that of the start that was given: what is estimated here is only where to
+    linearise.
+
+    Args:
+        log: The log.
+        ekf: The filter.
+        start: The first guess.
+        stop_s: How far to look [s].
+        rounds: How often, at most; fewer if the attitude moves by less than 0.05 deg.
+    """
+    for _ in range(rounds):
+        states = smooth(ekf.run(log, start, stop_s=stop_s))
+        q = states.quaternion[0]
+        moved = attitude.log(attitude.multiply(q, attitude.conjugate(start.quaternion)))
+        start = start.replace(
+            position=states.position[0],
+            velocity=states.velocity[0],
+            quaternion=q,
+            gyro_bias=states.gyro_bias[0],
+            accel_bias=states.accel_bias[0],
+        )
+        if float(np.abs(moved).max()) < np.radians(0.05):
+            break
+    return start
+
+
+def first_state(log: SensorLog, ekf: ErrorStateEkf) -> InitialState:
+    """Return the state at the first fix, level as well as can be, heading north."""
+    gnss = log.gnss
+    latency = 0.0 if ekf.gnss is None else ekf.gnss.latency_s
+    fixes: list[int] = []
+    if gnss is not None:
+        usable = np.isfinite(gnss.position).all(axis=1) & (gnss.t_s - latency < log.imu.t_s[-1])
+        fixes = np.flatnonzero(usable).tolist()
+    if gnss is None or not fixes:
+        raise ValueError(f"{log.name}: expected at least one GNSS position, got none")
+    first = fixes[0]
+    t = max(float(log.imu.t_s[0]), float(gnss.t_s[first]) - latency)
+    known = bool(np.isfinite(gnss.velocity[first]).all())
+    velocity = gnss.velocity[first] if known else np.zeros(3)
+    if gnss.position_std is not None:
+        position_std = gnss.position_std[first]
+    else:
+        model = ekf.gnss
+        position_std = np.array([3.0, 3.0, 5.0])
+        if model is not None:
+            position_std = np.hypot(model.position_std, model.wander_std)[[0, 0, 1]]
+    still = _still_until(log, t)
+    imu, g = log.imu, gravity_of(log)
+    notes: tuple[str, ...]
+    if still is None:
+        inside = (imu.t_s >= t) & (imu.t_s <= t + 1.0)
+        gyro_bias, gyro_std = np.zeros(3), np.full(3, max(ekf.imu.gyro_bias_std, 1e-4))
+        tilt_std = np.radians(10.0)
+        notes = ("start: in motion; level from the mean force of a second, gyroscope bias unknown",)
+    else:
+        inside = (imu.t_s >= imu.t_s[0]) & (imu.t_s <= still)
+        span = float(still - imu.t_s[0])
+        gyro_bias = imu.gyro[inside].mean(axis=0)
+        # how far it may have turned unseen while it stood, and the noise of the mean
+        gyro_std = np.full(3, np.hypot(0.005 / span, ekf.imu.gyro_noise / np.sqrt(span)))
+        tilt_std = np.hypot(np.radians(0.5), ekf.imu.accel_bias_std / g)
+        notes = (f"start: level and gyroscope bias from {span:.1f} s at rest",)
+    force = imu.accel[inside].mean(axis=0)
+    roll = np.arctan2(-force[1], -force[2])
+    pitch = np.arctan2(force[0], np.hypot(force[1], force[2]))
+    return InitialState(
+        t_s=t,
+        position=gnss.position[first],
+        velocity=velocity,
+        quaternion=attitude.from_euler(roll, pitch, 0.0),
+        gyro_bias=gyro_bias,
+        position_std=np.maximum(position_std, 0.01),
+        velocity_std=np.full(3, 1.0 if known else 10.0),
+        attitude_std=np.array([tilt_std, tilt_std, np.pi]),
+        gyro_bias_std=gyro_std,
+        accel_bias_std=np.full(3, max(ekf.imu.accel_bias_std, 1e-3)),
+        notes=notes,
+    )
+
+
+def _still_until(log: SensorLog, start_s: float) -> float | None:
+    """Return until when the vehicle stood still from the first sample on, if at all."""
+    imu, gnss = log.imu, log.gnss
+    g = gravity_of(log)
+    still, end = None, imu.t_s[0]
+    rest = None
+    while end + 0.5 <= imu.t_s[-1] and end - imu.t_s[0] < 30.0:
+        inside = (imu.t_s >= end) & (imu.t_s < end + 0.5)
+        end += 0.5
+        if inside.sum() < 5:
+            break
+        gyro, force = imu.gyro[inside], imu.accel[inside]
+        if rest is None:
+            rest = gyro.mean(axis=0), force.mean(axis=0)
+        calm = (
+            float(gyro.std(axis=0).max()) < _STILL_RATE
+            and float(force.std(axis=0).max()) < _STILL_FORCE
+            and abs(float(np.linalg.norm(force.mean(axis=0))) - g) < 0.8
+            and float(np.abs(gyro.mean(axis=0) - rest[0]).max()) < 0.01
+            and float(np.abs(force.mean(axis=0) - rest[1]).max()) < 0.2
+        )
+        if gnss is not None:
+            fixes = (gnss.t_s >= end - 0.5) & (gnss.t_s < end)
+            speed = np.linalg.norm(gnss.velocity[fixes], axis=1)
+            calm = calm and not bool((speed > _MOVING_M_S).any())
+        if not calm:
+            break
+        still = float(end)
+    return still if still is not None and still - imu.t_s[0] >= 1.0 else None
+
+
+def _window_end(log: SensorLog, start_s: float) -> float:
+    """Return when the vehicle has moved for a minute, or the end of the log [s]."""
+    gnss = log.gnss
+    if gnss is None:
+        return start_s + _WINDOW_S
+    speed = np.linalg.norm(np.nan_to_num(gnss.velocity[:, :2]), axis=1)
+    moving = gnss.t_s[(speed > _MOVING_M_S) & (gnss.t_s >= start_s)]
+    begin = float(moving[0]) if len(moving) else start_s
+    return float(min(begin + _WINDOW_S, log.imu.t_s[-1]))
+
+
+def _heading(
+    log: SensorLog, ekf: ErrorStateEkf, start: InitialState, stop_s: float
+) -> InitialState:
+    """Return the start with the heading that explains the motion best."""
+    level = start.quaternion
+    quick = scout(ekf)
+    tried = [2.0 * np.pi * k / _BANK for k in range(_BANK)]
+    compass = _compass(log, start)
+    if compass is not None:
+        tried.insert(0, compass)
+    std = start.attitude_std.copy()
+    std[2] = np.radians(30.0)
+    scores, guesses = [], []
+    for heading in tried:
+        q = attitude.multiply(attitude.from_euler(0.0, 0.0, heading), level)
+        guess = start.replace(quaternion=q, attitude_std=std)
+        scores.append(score(quick.run(log, guess, keep_history=False, stop_s=stop_s)))
+        guesses.append(guess)
+    best = int(np.argmax(scores))
+    # motion must speak clearly to overrule the compass
+    if compass is not None and scores[best] - scores[0] < 10.0:
+        best = 0
+    source = "compass" if compass is not None and best == 0 else "motion"
+    guess = guesses[best]
+    if source == "motion" and max(scores) - min(scores) < 6.0:
+        note = "start: heading unknown, the vehicle hardly moved; yaw means nothing until it does"
+        return guess.replace(
+            attitude_std=np.array([*std[:2], np.pi / 2]), notes=(*start.notes, note)
+        )
+    return guess.replace(notes=(*start.notes, f"start: heading from {source}"))
+
+
+def scout(ekf: ErrorStateEkf) -> ErrorStateEkf:
+    """Return a fast filter of the same models for comparing hypotheses: GNSS only, no gates."""
+    from hsvaos.nav.error_state_ekf import ErrorStateEkf
+
+    gnss = None if ekf.gnss is None else replace(ekf.gnss, wander_std=(0.0, 0.0))
+    return ErrorStateEkf(ekf.imu, gnss, None, gate=0.0, max_step_s=0.25)
+
+
+def score(states: States, after_s: float = -np.inf) -> float:
+    """Return how well a filter foresaw GNSS: the log-likelihood of its innovations.
+
+    A fix is worth no more than 25 against a hypothesis, so that outliers do not decide; axes are
+    taken as uncorrelated in the normalisation.
+
+    Args:
+        states: What the filter left.
+        after_s: Innovations before are not counted [s].
+    """
+
+    def one(innovations: Innovations) -> float:
+        late = innovations.t_s >= after_s
+        spread = 2.0 * np.nansum(np.log(innovations.std[late]))
+        return float(-0.5 * (np.minimum(innovations.nis[late], 25.0).sum() + spread))
+
+    return sum(one(i) for name, i in states.innovations.items() if name.startswith("gnss"))
+
+
+def _compass(log: SensorLog, start: InitialState) -> float | None:
+    """Return the magnetic heading at the start [rad], declination unknown, or None."""
+    mag = log.mag
+    if mag is None:
+        return None
+    inside = (mag.t_s >= start.t_s) & (mag.t_s <= start.t_s + 1.0)
+    inside &= np.isfinite(mag.field).all(axis=1)
+    if not inside.any():
+        return None
+    level = attitude.rotate(start.quaternion, mag.field[inside].mean(axis=0))
+    return float(-np.arctan2(level[1], level[0]))
