@@ -19,7 +19,7 @@ from hsvaos.simulate.mission import Flown, fly
 from hsvaos.simulate.occlusion import person_pixels
 from hsvaos.simulate.photo import expose, expose_thermal
 from hsvaos.simulate.placement import Cast, add_stakes, place_people
-from hsvaos.simulate.scene import Scene, ray_table
+from hsvaos.simulate.scene import Scene, instance_numbers, ray_table
 from hsvaos.simulate.sensors import log_flight
 from hsvaos.simulate.settings import SimulationSettings
 
@@ -42,10 +42,12 @@ class Photo:
     Args:
         image: Shape (H, W, 3) RGB, or (H, W) grey of a thermal camera; uint8.
         people: For each person (pixels that show it, pixels that would without anything else).
+        kind: Shape (H, W), uint8, `Kind` of what each pixel shows; 255 for nothing.
     """
 
     image: NDArray[np.uint8]
     people: list[tuple[int, int]]
+    kind: NDArray[np.uint8]
 
 
 class Simulation:
@@ -128,15 +130,17 @@ class Simulation:
             if self.cast.number
             else []
         )
+        shown = instance_numbers(keys, self.camera)
+        kind = np.where(shown < 0, 255, self.scene.kind[shown]).astype(np.uint8)
         light = self.scene.radiance(self.camera, pose, self.rays, keys)
         rng = np.random.default_rng([self.settings.seed, 96, index])
         motion = self._motion_px(index)
         effects = self.settings.effects
         if self.settings.thermal:
             heat = np.ascontiguousarray(light[..., 3])
-            return Photo(expose_thermal(heat, effects, self._span, motion, rng), people)
+            return Photo(expose_thermal(heat, effects, self._span, motion, rng), people, kind)
         rgb = np.ascontiguousarray(light[..., :3])
-        return Photo(expose(rgb, effects, self._gain, motion, rng), people)
+        return Photo(expose(rgb, effects, self._gain, motion, rng), people, kind)
 
     def _motion_px(self, index: int) -> Array:
         """Return the motion of the picture of the ground during the exposure, x and y [px]."""
