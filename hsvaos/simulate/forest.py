@@ -110,13 +110,16 @@ class Forest:
     meadow_mesh: tuple[int, ...]
     atlas: NDArray[np.uint8]
 
-    def cleared(self, north: float, east: float, radius_m: float) -> Forest:
+    def cleared(
+        self, north: float, east: float, radius_m: float, *, paint: bool = True
+    ) -> Forest:
         """Return the forest without the trees that stand within a circle.
 
         Args:
             north: Middle of the clearing [m].
             east: Middle of the clearing [m].
             radius_m: Its radius [m].
+            paint: Whether to paint the ground as a meadow too, which takes a few seconds.
         """
         old = self.instances
         kept = [
@@ -141,7 +144,7 @@ class Forest:
         )
         away = np.hypot(self.stems[:, 0] - north, self.stems[:, 1] - east) >= radius_m
         ground = self.ground
-        if self.season.ground_snow == 0.0:
+        if paint and self.season.ground_snow == 0.0:
             circle = np.array([[north, east, radius_m]])
             grass = np.array(self.season.grass)
             ground = ground.with_meadow(circle, grass, [self.settings.seed, 23])

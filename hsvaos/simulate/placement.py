@@ -203,11 +203,15 @@ class _Picker:
         if clearing:
             best = np.where(inside, smooth(chart, 3.0), -1.0).argmax()
             north, east = float(self._north.flat[best]), float(self._east.flat[best])
+            cut = 0.0
             for radius in _CLEARINGS_M:
                 if smooth(chart, 0.55).flat[best] >= _AIM["open"][0]:
                     break
-                self.forest = forest.cleared(north, east, radius)
+                self.forest = forest.cleared(north, east, radius, paint=False)
                 chart = look(self.forest)
+                cut = radius
+            if cut > 0.0:
+                self.forest = forest.cleared(north, east, cut)
         self._visible = smooth(chart, 0.55)
         # People lie where several photos see them, and clear of trunks.
         self._free = inside

@@ -111,8 +111,9 @@ class Simulation:
         luminance = light[..., :3] @ np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
         bright = float(np.quantile(luminance, 0.99))
         mean = float(np.mean(np.minimum(luminance, bright)))
-        # Middle grey, but snow may be brighter and highlights must not burn out.
-        self._gain = min(_MIDDLE_GREY / mean, 1.5 / bright)
+        # Middle grey (more over snow, as a careful pilot sets it), but nothing may burn out.
+        grey = _MIDDLE_GREY * (1.0 + self.forest.season.ground_snow)
+        self._gain = min(grey / mean, 2.4 / bright)
         heat = light[..., 3]
         self._span = (float(np.quantile(heat, 0.002)) - 0.5, max(float(heat.max()), 32.0) + 0.5)
 

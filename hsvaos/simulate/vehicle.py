@@ -71,6 +71,13 @@ class Wind:
         return np.asarray(self.mean + gusts)
 
 
+def _cross(a: Array, b: Array) -> Array:
+    """Return a x b of two single vectors; np.cross takes ten times as long for these."""
+    return np.array(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    )
+
+
 @dataclass
 class _Controller:
     """Gains of the cascade and its integral."""
@@ -101,9 +108,9 @@ class _Controller:
         """Return wanted body rates [rad/s] to turn body -z along the thrust and x toward yaw."""
         down = -thrust / np.linalg.norm(thrust)
         nose = np.array([np.cos(yaw), np.sin(yaw), 0.0])
-        right = np.cross(down, nose)
+        right = _cross(down, nose)
         right /= np.linalg.norm(right)
-        target = attitude.from_matrix(np.stack([np.cross(right, down), right, down], axis=-1))
+        target = attitude.from_matrix(np.stack([_cross(right, down), right, down], axis=-1))
         error = attitude.multiply(attitude.conjugate(q), target)
         return np.asarray(attitude.log(error) * self.attitude_gain)
 
@@ -140,7 +147,7 @@ class Quadrotor:
         rates = control.rates(self.quaternion, wanted, yaw)
         axes = attitude.matrix(self.quaternion)
         moment = self._inertia * np.array(control.rate_gain) * (rates - self.rate)
-        moment += np.cross(self.rate, self._inertia * self.rate)
+        moment += _cross(self.rate, self._inertia * self.rate)
         lift = max(float(-wanted @ axes[:, 2]), 0.0) * build.mass
         command = np.clip(self._unmix @ np.array([lift, *moment]), 0.0, build.max_thrust)
         self.thrusts += (command - self.thrusts) * (STEP_S / (build.lag_s + STEP_S))
@@ -149,7 +156,7 @@ class Quadrotor:
         before = self.velocity
         self.velocity = before + STEP_S * (force / build.mass + (0.0, 0.0, GRAVITY))
         self.position = self.position + 0.5 * STEP_S * (before + self.velocity)
-        gyroscopic = np.cross(self.rate, self._inertia * self.rate)
+        gyroscopic = _cross(self.rate, self._inertia * self.rate)
         self.rate = self.rate + STEP_S * (applied[1:] - gyroscopic) / self._inertia
         self.quaternion = attitude.normalize(
             attitude.multiply(self.quaternion, attitude.exp(self.rate * STEP_S))
