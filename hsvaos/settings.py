@@ -187,6 +187,14 @@ class Settings:
         }
         return dataclasses.replace(self, **changed)
 
+    def with_focus(self, table: dict[str, Any]) -> Settings:
+        """Return the settings with another focal surface; values of None are set too.
+
+        Args:
+            table: New values of [focus] by name.
+        """
+        return dataclasses.replace(self, focus=dataclasses.replace(self.focus, **table))
+
     def to_toml(self) -> str:
         """Return the settings as TOML, every default written out; what is not set is left out."""
         lines: list[str] = []

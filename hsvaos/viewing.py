@@ -41,6 +41,21 @@ def choose_views(
     return [(flight.frames[index].name, flight.view(index))], 0
 
 
+def sized_view(flight: Flight, index: int, longest_px: int) -> VirtualCamera:
+    """Return the view at a frame's pose, shrunk to a longest side.
+
+    Args:
+        flight: The flight, with poses.
+        index: Number of the frame.
+        longest_px: Longest side; photos that are smaller keep their size [px].
+    """
+    view = flight.view(index)
+    camera = flight.camera.without_distortion()
+    factor = min(1.0, longest_px / max(camera.width, camera.height))
+    size = (max(1, round(camera.width * factor)), max(1, round(camera.height * factor)))
+    return VirtualCamera(camera.scaled(*size), view.world_from_camera)
+
+
 def ground_grid(flight: Flight, surface: FocalSurface, gsd_m: float | None) -> VirtualCamera:
     """Return the grid that covers what the photos see of the ground.
 

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from hsvaos.detect.detections import Detections
 from hsvaos.settings import DetectSettings
 
-_BLUR = 1.0 / 15.0
-"""Sigma of the blur in lengths of a person: 12 cm for 1.8 m."""
+_BLUR = 1.0 / 6.0
+"""Sigma of the blur in lengths of a person: 30 cm for 1.8 m, half as wide as its shoulders."""
 
 _SURROUND = 10.0 / 3.0
 """Side of the surround in lengths of a person: 6 m for 1.8 m."""
@@ -32,7 +32,7 @@ def local_z(
 ) -> NDArray[np.float32]:
     """Return by how many deviations of its surround each pixel of a map stands out.
 
-    The map is blurred by a Gaussian of 12 cm; from it the mean over a box of 6 m is taken and the
+    The map is blurred by a Gaussian of 30 cm; from it the mean over a box of 6 m is taken and the
     rest divided by the deviation in that box (lengths for a person of 1.8 m). Mean and deviation
     are those of the values clipped at 3 deviations. Pixels without rays count in neither.
 
