@@ -11,17 +11,45 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from hsvaos.camera import Camera as Camera
     from hsvaos.camera import VirtualCamera as VirtualCamera
+    from hsvaos.detect.detections import Detections as Detections
+    from hsvaos.detect.detections import Person as Person
     from hsvaos.flight import Flight as Flight
     from hsvaos.flight import FlightError as FlightError
     from hsvaos.flight import Frame as Frame
     from hsvaos.flight import Origin as Origin
     from hsvaos.formats.open import open_flight as open_flight
+    from hsvaos.kernels.anomaly import rx_masks as rx_masks
+    from hsvaos.kernels.color import brighten as brighten
+    from hsvaos.kernels.color import hsv_to_rgb as hsv_to_rgb
+    from hsvaos.kernels.color import rgb_to_hsv as rgb_to_hsv
+    from hsvaos.kernels.hue_mask import hue_masks as hue_masks
+    from hsvaos.kernels.integrate import Integrator as Integrator
+    from hsvaos.kernels.rarity import rarity_weights as rarity_weights
+    from hsvaos.kernels.sweep import best_focus as best_focus
+    from hsvaos.kernels.sweep import focus_measure as focus_measure
+    from hsvaos.pipeline import run as run
+    from hsvaos.result import Result as Result
+    from hsvaos.settings import Settings as Settings
     from hsvaos.surface import FocalPlane as FocalPlane
     from hsvaos.surface import FocalTerrain as FocalTerrain
 
 __version__ = "0.1.0"
 
 _HOME = {
+    "Integrator": "hsvaos.kernels.integrate",
+    "hue_masks": "hsvaos.kernels.hue_mask",
+    "rarity_weights": "hsvaos.kernels.rarity",
+    "rgb_to_hsv": "hsvaos.kernels.color",
+    "hsv_to_rgb": "hsvaos.kernels.color",
+    "brighten": "hsvaos.kernels.color",
+    "rx_masks": "hsvaos.kernels.anomaly",
+    "focus_measure": "hsvaos.kernels.sweep",
+    "best_focus": "hsvaos.kernels.sweep",
+    "Settings": "hsvaos.settings",
+    "run": "hsvaos.pipeline",
+    "Result": "hsvaos.result",
+    "Detections": "hsvaos.detect.detections",
+    "Person": "hsvaos.detect.detections",
     "Camera": "hsvaos.camera",
     "VirtualCamera": "hsvaos.camera",
     "Flight": "hsvaos.flight",

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hsvaos.camera import VirtualCamera
 from hsvaos.flight import Flight, FlightError
 from hsvaos.kernels.integrate import Integrator
 from hsvaos.kernels.sweep import best_focus, focus_measure
 from hsvaos.photos import Progress
 from hsvaos.settings import FocusSettings
 from hsvaos.surface import FocalPlane, FocalSurface, FocalTerrain
+from hsvaos.viewing import sized_view
 
 _SEARCH_PX = 512
 """Longest side of the views that autofocus renders; more only costs time."""
@@ -88,7 +88,7 @@ def autofocus(
         ValueError: If the range makes no sense.
     """
     downs = search_planes(flight, settings)
-    view = search_view(flight)
+    view = sized_view(flight, flight.centre_index, _SEARCH_PX)
     curve = np.zeros(len(downs))
     for start in range(0, len(downs), _PLANES_AT_ONCE):
         part = slice(start, start + _PLANES_AT_ONCE)
@@ -101,15 +101,6 @@ def autofocus(
     if prominence < _WEAK:
         note += f" (a weak peak, {100 * prominence:.0f} % above its valleys: check it by a sweep)"
     return down, note
-
-
-def search_view(flight: Flight, longest_px: int = _SEARCH_PX) -> VirtualCamera:
-    """Return the centre frame's view at a size fit for searching."""
-    view = flight.view(flight.centre_index)
-    camera = flight.camera.without_distortion()
-    factor = min(1.0, longest_px / max(camera.width, camera.height))
-    size = (max(1, round(camera.width * factor)), max(1, round(camera.height * factor)))
-    return VirtualCamera(camera.scaled(*size), view.world_from_camera)
 
 
 def search_planes(flight: Flight, settings: FocusSettings) -> NDArray[np.float64]:

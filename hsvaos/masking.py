@@ -25,16 +25,18 @@ class Masks:
     """Everything that weighs the pixels of a flight. Arrays are Warp arrays on the device.
 
     Args:
+        gains: Shape (N, 3), factors that level the photos; None where they are not levelled.
         hue: Shape (N, H, W), uint8, the hue cut; None for grey photos.
-        rarity: Shape (N, H, W), uint8, rarity weights.
+        rarity: Shape (N, H, W), float32, rarity weights.
         anomaly: Shape (N, H, W), uint8, RX masks; None unless asked for.
-        brightened: Photos with their kept dark pixels brightened, or the photos themselves.
+        brightened: Photos levelled, and their kept dark pixels brightened; None where not wanted.
         hue_stats: Statistics of each photo; empty for grey photos.
         hue_histogram: Shape (B,), float64, over the flight; None for grey photos.
         stats: What reports say of the mask.
         notes: What the user should know.
     """
 
+    gains: NDArray[np.float64] | None
     hue: Any
     rarity: Any
     anomaly: Any
@@ -76,6 +78,7 @@ def make_masks(photos: Photos, settings: Settings, progress: Progress | None = N
         threshold=threshold,
         exponent=mask.rarity_exponent,
         smoothing_bins=mask.rarity_smoothing_bins,
+        dtype="float32",
         valid=valid,
         gains=gains,
     )
@@ -84,12 +87,13 @@ def make_masks(photos: Photos, settings: Settings, progress: Progress | None = N
     if mask.method == "anomaly":
         anomaly, _ = rx_masks(images, mask.anomaly_quantile, valid=valid)
     step("finding anomalies")
-    brightened = images
+    brightened = None
     if mask.brighten and hue is not None:
-        brightened = _brightened(images, hue, mask)
+        amount = {"target_value": mask.target_value, "gamma": mask.gamma, "max_gain": mask.max_gain}
+        brightened = brighten(images, hue, gains=gains, **amount)
     step("brightening")
     summary, notes = _summary(photos, mask, hue, stats, anomaly)
-    return Masks(hue, rarity, anomaly, brightened, stats, histogram, summary, notes)
+    return Masks(gains, hue, rarity, anomaly, brightened, stats, histogram, summary, notes)
 
 
 class _Steps:
@@ -101,12 +105,6 @@ class _Steps:
         self.done += 1
         if self.progress is not None:
             self.progress(f"masking: {name}", self.done, STEPS)
-
-
-def _brightened(images: Any, hue: Any, mask: MaskSettings) -> Any:
-    return brighten(
-        images, hue, target_value=mask.target_value, gamma=mask.gamma, max_gain=mask.max_gain
-    )
 
 
 def _summary(
@@ -149,3 +147,14 @@ def kept_share(weights: Any) -> float:
     """
     counts = [np.count_nonzero(weights[i].numpy()) for i in range(weights.shape[0])]
     return float(np.sum(counts)) / float(weights.size)
+
+
+def as_bytes(weights: Any) -> NDArray[np.uint8]:
+    """Return weights of a photo as uint8, 255 = weight 1.
+
+    Args:
+        weights: Warp array, shape (H, W), uint8 or float32 0..1.
+    """
+    values = weights.numpy()
+    scaled = values if values.dtype == np.uint8 else np.rint(255.0 * values)
+    return np.asarray(scaled, dtype=np.uint8)

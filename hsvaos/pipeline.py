@@ -11,7 +11,7 @@ from hsvaos.flight import Flight
 from hsvaos.focusing import choose_surface
 from hsvaos.kernels.device import resolve_device
 from hsvaos.kernels.integrate import Integrator
-from hsvaos.masking import make_masks
+from hsvaos.masking import as_bytes, make_masks
 from hsvaos.photos import Progress, load_photos
 from hsvaos.rendering import make_renderer
 from hsvaos.result import Result, ViewResult
@@ -82,8 +82,8 @@ def run(
         views=tuple(detections),
         persons=persons,
         photo=photos.images[index].numpy(),
-        photo_mask=photos.valid_of(index) if weights is None else weights[index].numpy(),
-        photo_rarity=masks.rarity[index].numpy(),
+        photo_mask=photos.valid_of(index) if weights is None else as_bytes(weights[index]),
+        photo_rarity=as_bytes(masks.rarity[index]),
         photo_frame=names[index],
         mask_stats=masks.stats,
         hue_histogram=masks.hue_histogram,

@@ -65,7 +65,12 @@ def hsv_to_rgb(hsv: ArrayLike) -> Array:
 
 
 def brighten(
-    images: ArrayLike, keep: ArrayLike, target_value: float, gamma: float, max_gain: float
+    images: ArrayLike,
+    keep: ArrayLike,
+    target_value: float,
+    gamma: float,
+    max_gain: float,
+    gains: ArrayLike | None = None,
 ) -> Array:
     """Twin of `kernels.color.brighten`, in units of the images, not rounded.
 
@@ -75,9 +80,14 @@ def brighten(
         target_value: See the kernel.
         gamma: See the kernel.
         max_gain: See the kernel.
+        gains: Shape (N, 3), factors on the channels of each image.
     """
     values = np.asarray(images).astype(np.float64)
     scaled = unit(images)
+    if gains is not None:
+        factors = np.asarray(gains)[:, None, None]
+        factors = factors if scaled.ndim == 4 else factors[..., 0]
+        values, scaled = values * factors, scaled * factors
     value = scaled.max(axis=-1) if scaled.ndim == 4 else scaled
     dark = (np.asarray(keep) > 0) & (value > 0.0) & (value < target_value)
     gain = np.ones_like(value)
@@ -350,6 +360,7 @@ def integrate(
     weights: ArrayLike | None = None,
     aperture_m: float | None = None,
     frames: Sequence[int] | None = None,
+    gains: ArrayLike | None = None,
 ) -> tuple[Array, Array]:
     """Twin of `Integrator.integrate`.
 
@@ -362,12 +373,15 @@ def integrate(
         weights: Shape (N, H, W); uint8 (255 = 1) or float.
         aperture_m: Radius of the synthetic aperture [m].
         frames: Numbers of the photos to use.
+        gains: Shape (N, 3), factors on the channels of each photo.
 
     Returns:
         image, shape (H, W, C), and footprint, shape (H, W), float64.
     """
     photos = np.asarray(images)
     stack = photos.astype(np.float64).reshape(*photos.shape[:3], -1)
+    if gains is not None:
+        stack = stack * np.asarray(gains)[:, None, None, : stack.shape[-1]]
     share = np.ones(photos.shape[:3]) if weights is None else unit(weights)
     poses = np.asarray(world_from_camera, dtype=np.float64)
     points = focal_points(view, surface)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hsvaos.camera import VirtualCamera
-from hsvaos.detect.anomaly import find_peaks, local_z
+from hsvaos.detect.anomaly import find_persons
 from hsvaos.detect.detections import Detections
 from hsvaos.detect.locate import box_places
 from hsvaos.flight import FlightError
@@ -71,11 +71,11 @@ class Renderer:
                 f"view {name}: every pixel is masked (mask {self.settings.mask.method}); use fewer "
                 f"sigmas, another --mask, or check the user mask"
             )
-        rarity_map = mean_weight[..., 0] / 255.0
-        points = focal_points(view, self.surface, device=self.plain.device).numpy()
-        world = _in_world(points.reshape(view.height, view.width, 4), view)
-        found = self._find(view, world, rarity_map, rays)
-        places, variances = box_places(found, world)
+        rarity_map = mean_weight[..., 0]
+        hits = focal_points(view, self.surface, device=self.plain.device).numpy()
+        hits = hits.reshape(view.height, view.width, 4)
+        found = self._find(view, hits, rarity_map, rays)
+        places, variances = box_places(found, hits, view)
         others = self._others(view) if extra else {}
         result = ViewResult(name, view, image, footprint, rarity_map, rays, found, others)
         return result, (found, places, variances)
@@ -89,16 +89,15 @@ class Renderer:
     def _find(
         self,
         view: VirtualCamera,
-        world: NDArray[np.float64],
+        hits: NDArray[np.float32],
         rarity_map: NDArray[np.float32],
         rays: NDArray[np.float32],
     ) -> Detections:
         detect = self.settings.detect
         if not detect.enabled:
             return Detections.none()
-        gsd = sampling_distance(view, world)
-        z = local_z(rarity_map, rays, gsd, detect.person_m, detect.min_rays)
-        return find_peaks(z, gsd, detect)
+        gsd = sampling_distance(view, hits)
+        return find_persons(rarity_map, rays, gsd, detect)
 
     def _others(self, view: VirtualCamera) -> dict[str, tuple[Any, Any]]:
         named = {"plain": self.plain, "hue": self.hue, "rarity": self.rarity}
@@ -123,34 +122,32 @@ def make_renderer(
     """
     camera, poses = photos.flight.camera, photos.flight.poses
 
-    def weighed(images: Any, weights: Any) -> Integrator:
-        return Integrator(camera, images, poses, weights)
+    def weighed(images: Any, weights: Any, gains: Any = None) -> Integrator:
+        return Integrator(camera, images, poses, weights, gains=gains)
 
-    hue = None if masks.hue is None else weighed(masks.brightened, masks.hue)
-    rarity = weighed(photos.images, masks.rarity)
+    hue = None
+    if masks.brightened is not None:
+        hue = weighed(masks.brightened, masks.hue)
+    elif masks.hue is not None:
+        hue = weighed(photos.images, masks.hue, masks.gains)
+    rarity = weighed(photos.images, masks.rarity, masks.gains)
     by_name = {"hue": hue, "rarity": rarity}
     if masks.anomaly is not None:
-        by_name["anomaly"] = weighed(photos.images, masks.anomaly)
+        by_name["anomaly"] = weighed(photos.images, masks.anomaly, masks.gains)
     chosen = by_name.get(settings.mask.method) or plain
     rarity_map = weighed(masks.rarity, photos.valid)
     return Renderer(plain, chosen, rarity, hue, rarity_map, settings, surface)
 
 
-def sampling_distance(view: VirtualCamera, points: NDArray[np.float64]) -> float:
+def sampling_distance(view: VirtualCamera, hits: NDArray[np.float32]) -> float:
     """Return the ground sampling distance of a view [m/px], the median over its pixels.
 
     Args:
         view: The virtual camera.
-        points: Shape (H, W, 3), focal point of each pixel, world NED [m], NaN where there is none.
+        hits: Shape (H, W, 4), from `focal_points`: places relative to the view's centre, and 1.
     """
     if view.camera is None:
         return view.gsd_m
-    axis = view.world_from_camera[:3, 2]
-    depths = (points[::8, ::8] - view.world_from_camera[:3, 3]) @ axis
-    return float(np.nanmedian(depths)) / view.camera.fx
-
-
-def _in_world(hits: NDArray[np.float32], view: VirtualCamera) -> NDArray[np.float64]:
-    points = hits[..., :3].astype(np.float64) + view.world_from_camera[:3, 3]
-    points[hits[..., 3] == 0.0] = np.nan
-    return points
+    sparse = hits[::8, ::8] if (hits[::8, ::8, 3] > 0.0).any() else hits
+    depths = sparse[sparse[..., 3] > 0.0][:, :3] @ view.world_from_camera[:3, 2]
+    return float(np.median(depths)) / view.camera.fx

@@ -18,7 +18,7 @@ class PhotoSettings:
 
     Args:
         scale: Factor on width and height while decoding, 0 < scale <= 1; 1 keeps every pixel.
-        level: Level exposure and white balance across the frames before colours are judged.
+        level: Level exposure and white balance across the frames, for all but the plain mean.
     """
 
     scale: float = 1.0
@@ -54,9 +54,9 @@ class MaskSettings:
     statistics: str = "circular"
     scope: str = "image"
     brighten: bool = True
-    target_value: float = 0.5
-    gamma: float = 0.5
-    max_gain: float = 4.0
+    target_value: float = 0.25
+    gamma: float = 0.6
+    max_gain: float = 3.0
     rarity_threshold: float = 2e-4
     grey_rarity_threshold: float = 1.25e-3
     rarity_exponent: float = 1.5
@@ -112,7 +112,8 @@ class ViewSettings:
 
     Args:
         frame: "centre", "all", "ortho", or the name or number of a frame.
-        gsd_m: Ground sampling distance of the ground grid [m]; by default that of the photos.
+        gsd_m: Ground sampling distance of the ground grid [m]; by default that of the photos, or
+            coarser for grids of more than 16 million pixels.
         aperture_m: Radius of the synthetic aperture [m]; by default all photos count.
     """
 
@@ -185,6 +186,14 @@ class Settings:
             for name, table in tables.items()
         }
         return dataclasses.replace(self, **changed)
+
+    def with_focus(self, table: dict[str, Any]) -> Settings:
+        """Return the settings with another focal surface; values of None are set too.
+
+        Args:
+            table: New values of [focus] by name.
+        """
+        return dataclasses.replace(self, focus=dataclasses.replace(self.focus, **table))
 
     def to_toml(self) -> str:
         """Return the settings as TOML, every default written out; what is not set is left out."""

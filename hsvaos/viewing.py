@@ -11,6 +11,9 @@ from hsvaos.settings import ViewSettings
 from hsvaos.surface import FocalPlane, FocalSurface, FocalTerrain
 
 _MAX_GRID_PX = 120_000_000
+_DEFAULT_GRID_PX = 16_000_000
+"""Pixels to which a grid is coarsened where no sampling distance is asked for."""
+
 _REACH = 4.0
 """Ground farther away than this many heights is left out of the grid: a horizon has no end."""
 
@@ -38,13 +41,29 @@ def choose_views(
     return [(flight.frames[index].name, flight.view(index))], 0
 
 
+def sized_view(flight: Flight, index: int, longest_px: int) -> VirtualCamera:
+    """Return the view at a frame's pose, shrunk to a longest side.
+
+    Args:
+        flight: The flight, with poses.
+        index: Number of the frame.
+        longest_px: Longest side; photos that are smaller keep their size [px].
+    """
+    view = flight.view(index)
+    camera = flight.camera.without_distortion()
+    factor = min(1.0, longest_px / max(camera.width, camera.height))
+    size = (max(1, round(camera.width * factor)), max(1, round(camera.height * factor)))
+    return VirtualCamera(camera.scaled(*size), view.world_from_camera)
+
+
 def ground_grid(flight: Flight, surface: FocalSurface, gsd_m: float | None) -> VirtualCamera:
     """Return the grid that covers what the photos see of the ground.
 
     Args:
         flight: The flight, with poses.
         surface: The focal surface; a terrain counts as level at its middle.
-        gsd_m: Ground sampling distance [m]; by default the median one of the photos' centres.
+        gsd_m: Ground sampling distance [m]; by default the median one of the photos' centres,
+            or coarser where the grid would have more than 16 million pixels.
 
     Raises:
         FlightError: If the photos see no ground, or the grid would have too many pixels.
@@ -66,8 +85,10 @@ def ground_grid(flight: Flight, surface: FocalSurface, gsd_m: float | None) -> V
     places = np.concatenate(outlines) if outlines else np.zeros((0, 2))
     if len(places) == 0:
         raise FlightError(f"{flight.source}: no photo looks down at the focal surface")
-    gsd = gsd_m or float(np.median(heights)) / flight.camera.fx
     (south, west), (north, east) = places.min(axis=0), places.max(axis=0)
+    finest = float(np.median(heights)) / flight.camera.fx
+    coarse = float(np.sqrt((north - south) * (east - west) / _DEFAULT_GRID_PX))
+    gsd = gsd_m or max(finest, coarse)
     width, height_px = (int(np.ceil(side / gsd)) + 1 for side in (east - west, north - south))
     if width * height_px > _MAX_GRID_PX:
         raise FlightError(

@@ -11,11 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 from hsvaos.detect.detections import Detections
 from hsvaos.settings import DetectSettings
 
-_BLUR = 1.0 / 15.0
-"""Sigma of the blur in lengths of a person: 12 cm for 1.8 m."""
+_BLUR = 1.0 / 6.0
+"""Sigma of the blur in lengths of a person: 30 cm for 1.8 m, half as wide as its shoulders."""
 
 _SURROUND = 10.0 / 3.0
 """Side of the surround in lengths of a person: 6 m for 1.8 m."""
+
+_CLIP = 3.0
+"""Deviations beyond which a value counts no more in its own surround."""
 
 _HALF = 0.5
 """A find reaches as far as its z stays above this share of its peak."""
@@ -29,9 +32,9 @@ def local_z(
 ) -> NDArray[np.float32]:
     """Return by how many deviations of its surround each pixel of a map stands out.
 
-    The map is blurred by a Gaussian of 12 cm; from it the mean over a box of 6 m is taken and the
-    rest divided by the deviation in that box (lengths for a person of 1.8 m). Pixels without rays
-    count neither in the mean nor in the deviation.
+    The map is blurred by a Gaussian of 30 cm; from it the mean over a box of 6 m is taken and the
+    rest divided by the deviation in that box (lengths for a person of 1.8 m). Mean and deviation
+    are those of the values clipped at 3 deviations. Pixels without rays count in neither.
 
     Args:
         values: Shape (H, W), the rarity map.
@@ -56,15 +59,50 @@ def local_z(
         return cv2.boxFilter(part, cv2.CV_64F, (box, box), borderType=cv2.BORDER_CONSTANT)
 
     smooth = blurred(image) / np.maximum(blurred(seen), 1e-3) * seen
-    weight = mean(seen)
     # shares are of the whole box, so that half-known surroundings at a border are told apart
+    weight = mean(seen)
     safe = np.maximum(weight, 1e-6)
-    centre = mean(smooth) / safe
-    variance = np.maximum(mean(smooth.astype(np.float64) ** 2) / safe - centre**2, 0.0)
-    deviation = np.sqrt(variance)
+
+    def moments(part: Any) -> tuple[Any, Any]:
+        centre = mean(part) / safe
+        return centre, np.sqrt(np.maximum(mean(part * part) / safe - centre**2, 0.0))
+
+    # a strong target would raise the deviation of its own surround: it is clipped for that
+    wide = smooth.astype(np.float64)
+    centre, deviation = moments(wide)
+    centre, deviation = moments(np.minimum(wide, centre + _CLIP * deviation) * seen)
     known = (seen > 0.0) & (weight > _MIN_VALID) & (deviation > 1e-7)
     z = (smooth - centre) / np.where(known, deviation, 1.0)
     return np.where(known, z, 0.0).astype(np.float32)
+
+
+def find_persons(
+    values: NDArray[np.float32], rays: NDArray[np.float32], gsd_m: float, settings: DetectSettings
+) -> Detections:
+    """Return the person-sized peaks of a rarity map, strongest first; scores are local z.
+
+    Views finer than a 45th of a person are halved, thirded, ... first: the blur takes that anyway.
+
+    Args:
+        values: Shape (H, W), float32, the rarity map.
+        rays: Shape (H, W), float32, rays of each pixel.
+        gsd_m: Ground sampling distance [m/px].
+        settings: Threshold, size and number.
+    """
+    step = max(1, int(settings.person_m / 45.0 / gsd_m))
+    height, width = values.shape
+    size = (max(1, width // step), max(1, height // step))
+    if step > 1:
+        cover = cv2.resize(rays, size, interpolation=cv2.INTER_AREA)
+        total = cv2.resize(values * rays, size, interpolation=cv2.INTER_AREA)
+        values = (total / np.maximum(cover, 1e-6)).astype(np.float32)
+        rays = cover.astype(np.float32)
+    coarse = gsd_m * step
+    z = local_z(values, rays, coarse, settings.person_m, settings.min_rays)
+    found = find_peaks(z, coarse, settings)
+    scale = np.array([width / size[0], height / size[1]] * 2)
+    boxes = (found.boxes_xyxy + 0.5) * scale - 0.5  # pixel centres lie at integers
+    return Detections(boxes.astype(np.float32), found.scores, found.class_ids)
 
 
 def find_peaks(z: NDArray[np.float32], gsd_m: float, settings: DetectSettings) -> Detections:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from hsvaos.camera import VirtualCamera
 from hsvaos.detect.detections import Detections, Person
 from hsvaos.flight import Origin
 from hsvaos.geodesy import geodetic_from_ned
@@ -14,29 +15,38 @@ from hsvaos.geodesy import geodetic_from_ned
 Points = NDArray[np.float64]
 
 
-def box_places(found: Detections, points: Points) -> tuple[Points, Points]:
+def box_places(
+    found: Detections, hits: NDArray[np.float32], view: VirtualCamera
+) -> tuple[Points, Points]:
     """Return where boxes lie on the focal surface, and how sure that is.
 
     Args:
         found: Boxes in a view.
-        points: Shape (H, W, 3), focal point of each pixel of that view, world NED [m], NaN where
-            there is none.
+        hits: Shape (H, W, 4), focal point of each pixel relative to the view's centre [m] and 1,
+            or 0 where there is none, as `kernels.rays.focal_points` gives them.
+        view: The view.
 
     Returns:
-        places, shape (K, 3) [m], NaN where a box has no ground; and variances, shape (K,) [m^2],
-        of a place spread evenly over the box, one axis.
+        places, shape (K, 3), world NED [m], NaN where a box has no ground; and variances, shape
+        (K,) [m^2], of a place spread evenly over the box, one axis.
     """
-    height, width = points.shape[:2]
+    height, width = hits.shape[:2]
     places = np.full((len(found), 3), np.nan)
-    variances = np.full(len(found), np.nan)
+    variances = np.zeros(len(found))
+
+    def point(row: int, column: int) -> Points:
+        hit = hits[row, column].astype(np.float64)
+        return hit[:3] + view.world_from_camera[:3, 3] if hit[3] > 0.0 else np.full(3, np.nan)
+
     for k, (left, top, right, bottom) in enumerate(found.boxes_xyxy.astype(np.float64)):
-        columns = np.clip(np.round([left, (left + right) / 2, right]), 0, width - 1).astype(int)
-        rows = np.clip(np.round([top, (top + bottom) / 2, bottom]), 0, height - 1).astype(int)
-        places[k] = points[rows[1], columns[1]]
-        across = points[rows[1], columns[2]] - points[rows[1], columns[0]]
-        along = points[rows[2], columns[1]] - points[rows[0], columns[1]]
-        sides = [np.linalg.norm(side[:2]) for side in (across, along)]
-        variances[k] = np.nanmean(np.square(sides)) / 12.0 if np.isfinite(sides).any() else 0.0
+        c = np.clip(np.round([left, (left + right) / 2, right]), 0, width - 1).astype(int)
+        r = np.clip(np.round([top, (top + bottom) / 2, bottom]), 0, height - 1).astype(int)
+        places[k] = point(r[1], c[1])
+        across = point(r[1], c[2]) - point(r[1], c[0])
+        along = point(r[2], c[1]) - point(r[0], c[1])
+        sides = np.array([np.hypot(*side[:2]) for side in (across, along)])
+        if np.isfinite(sides).any():
+            variances[k] = np.nanmean(sides**2) / 12.0
     return places, variances
 
 

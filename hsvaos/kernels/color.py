@@ -13,12 +13,14 @@ from hsvaos.kernels.pixels import (
     as_value,
     as_vec3,
     brightness,
+    check_gains,
     device_of,
     like_input,
     output_array,
     pixel_view,
     scalar_type,
     store,
+    times_gain,
     valid_array,
 )
 
@@ -114,12 +116,13 @@ def _brighten_kernel(pixel: Any) -> Any:
         target: float,
         gamma: float,
         max_gain: float,
+        level: wp.vec3,
         keep: wp.array(dtype=wp.uint8),
         rgb: wp.array(dtype=pixel),
         out: wp.array(dtype=pixel),
     ):
         i = wp.tid() + offset
-        colour = as_value(rgb[i])
+        colour = times_gain(as_value(rgb[i]), level)
         value = brightness(colour) / white
         gain = float(1.0)
         if keep[i] > wp.uint8(0) and value > 0.0 and value < target:
@@ -188,9 +191,10 @@ def brighten(
     images: Any,
     keep: Any = None,
     *,
-    target_value: float = 0.5,
-    gamma: float = 0.5,
-    max_gain: float = 4.0,
+    target_value: float = 0.25,
+    gamma: float = 0.6,
+    max_gain: float = 3.0,
+    gains: Any = None,
     out: Any = None,
     device: Any = None,
 ) -> Any:
@@ -205,6 +209,7 @@ def brighten(
         target_value: Value T below which a pixel counts as dark, 0..1.
         gamma: Exponent, 0 < gamma <= 1; 1 changes nothing.
         max_gain: Largest factor, so that noise in black is not blown up.
+        gains: Shape (N, 3), factors on the channels of each image that level exposure before.
         out: Like images, written in place (may be the images themselves); new if None.
         device: Where to run; by default where the images lie.
 
@@ -227,7 +232,14 @@ def brighten(
     kernel = _brighten_kernel(stack.pixel)
     settings = [stack.white, float(target_value), float(gamma), float(max_gain)]
     target = pixel_view(result, stack.pixel, (stack.count, stack.size))
+    levels = check_gains(gains, stack)
     for i in range(stack.count):
-        inputs = [*settings, valid[i % valid.shape[0]], stack.pixels[i], target[i]]
+        inputs = [
+            *settings,
+            wp.vec3(*levels[i]),
+            valid[i % valid.shape[0]],
+            stack.pixels[i],
+            target[i],
+        ]
         launch(kernel, stack.size, inputs, stack.device)
     return like_input(result, images) if out is None else out

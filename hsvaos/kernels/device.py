@@ -3,7 +3,6 @@
 import itertools
 import os
 import threading
-import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -21,8 +20,10 @@ _pool: ThreadPoolExecutor | None = None
 _threads = 0
 _loaded: set[tuple[str, str]] = set()
 
-on_load: Callable[[str, float], None] | None = None
-"""Called with a kernel's name and the seconds its loading took; a first compile takes seconds."""
+on_slow_load: Callable[[], None] | None = None
+"""Called where loading a kernel takes long: it is then being compiled, once, for the cache."""
+
+_SLOW_S = 0.5
 
 
 def resolve_device(device: Any = "cpu") -> Any:
@@ -102,11 +103,14 @@ def load(kernel: Any, device: Any) -> None:
     if key in _loaded:
         return
     with _lock:
-        start = time.perf_counter()
+        notice = threading.Timer(_SLOW_S, on_slow_load) if on_slow_load is not None else None
+        if notice is not None:
+            notice.daemon = True
+            notice.start()
         wp.load_module(kernel.module, device=device, block_dim=1 if device.is_cpu else 256)
         _loaded.add(key)
-    if on_load is not None:
-        on_load(kernel.key, time.perf_counter() - start)
+        if notice is not None:
+            notice.cancel()
 
 
 def launch(

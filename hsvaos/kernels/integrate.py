@@ -14,10 +14,12 @@ from hsvaos.kernels.lens import Lens, lens, project
 from hsvaos.kernels.pixels import (
     Stack,
     as_value,
+    check_gains,
     device_of,
     like_input,
     output_array,
     pixel_view,
+    times_gain,
     to_array,
 )
 from hsvaos.kernels.rays import focal_points
@@ -30,10 +32,11 @@ _NO_LIMIT = 1e30
 
 @wp.struct
 class Pose:
-    """World to camera: rotation, and the camera's centre relative to the virtual camera [m]."""
+    """World to camera: rotation, centre relative to the virtual camera's [m], and photo's gain."""
 
     rotation: wp.mat33
     centre: wp.vec3
+    gain: wp.vec3
 
 
 @lru_cache
@@ -95,12 +98,13 @@ def _gather_kernel(pixel: Any, weight: Any, value: Any) -> Any:
                             wb *= float(weights[n * weight_step, b]) * weight_unit
                             wc *= float(weights[n * weight_step, c]) * weight_unit
                             wd *= float(weights[n * weight_step, d]) * weight_unit
-                        total += (
+                        here = (
                             as_value(images[n, a]) * wa
                             + as_value(images[n, b]) * wb
                             + as_value(images[n, c]) * wc
                             + as_value(images[n, d]) * wd
                         )
+                        total += times_gain(here, poses[n].gain)
                         sum_of_weights += wa + wb + wc + wd
         if sum_of_weights > 0.0:
             total = total / sum_of_weights
@@ -121,6 +125,8 @@ class Integrator:
         weights: Shape (N, H, W), or (H, W) for all photos; uint8 (255 = weight 1), bool or float32
             (not negative): how much each pixel counts; None for 1 everywhere.
         device: "cpu", "cuda:0", ...; by default where the images lie.
+        gains: Shape (N, 3), factors on R, G and B of each photo (the first one on grey); see
+            `kernels.levels`; None for the photos as they are.
 
     Raises:
         ValueError: If shapes do not fit the camera or each other, a pose holds no rotation, or the
@@ -135,6 +141,8 @@ class Integrator:
         world_from_camera: ArrayLike,
         weights: Any = None,
         device: Any = None,
+        *,
+        gains: Any = None,
     ) -> None:
         self.device = device_of(images, device)
         self.camera = camera
@@ -154,6 +162,7 @@ class Integrator:
         self.world_from_camera: NDArray[np.float64] = np.stack(
             [check_pose(pose, f"world_from_camera[{i}]") for i, pose in enumerate(poses)]
         )
+        self._gains = check_gains(gains, stack)
         self._weights, self._weight_unit = self._check_weights(weights)
 
     def _check_weights(self, weights: Any) -> tuple[Any, float]:
@@ -272,6 +281,7 @@ class Integrator:
         packed: Any = np.zeros(len(self), dtype=pose.numpy_dtype())
         packed["rotation"] = self.world_from_camera[:, :3, :3].transpose(0, 2, 1)
         packed["centre"] = self.world_from_camera[:, :3, 3] - view.world_from_camera[:3, 3]
+        packed["gain"] = self._gains
         poses = wp.array(packed, dtype=Pose, device=self.device)
         return [lens(self.camera), poses, wp.array(order, dtype=int, device=self.device), aperture2]
 

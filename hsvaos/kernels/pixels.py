@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from hsvaos.kernels.device import resolve_device
 
@@ -126,6 +127,18 @@ def brightness(value: wp.vec3) -> float:
 def brightness(value: float) -> float:  # noqa: F811
     """Grey level."""
     return value
+
+
+@wp.func
+def times_gain(value: wp.vec3, gain: wp.vec3) -> wp.vec3:
+    """Colour with a factor on each channel."""
+    return wp.cw_mul(value, gain)
+
+
+@wp.func
+def times_gain(value: float, gain: wp.vec3) -> float:  # noqa: F811
+    """Grey level with a factor."""
+    return value * gain[0]
 
 
 @wp.func
@@ -276,7 +289,20 @@ def pixel_scales(stack: Stack, gains: Any = None) -> list[Any]:
 
     Args:
         stack: The images.
+        gains: See `check_gains`.
+
+    Raises:
+        ValueError: As `check_gains`.
+    """
+    return [wp.vec3(*row) for row in check_gains(gains, stack) / stack.white]
+
+
+def check_gains(gains: Any, stack: Stack) -> NDArray[np.float64]:
+    """Return factors on the channels of each image, shape (N, 3).
+
+    Args:
         gains: Shape (N, 3), positive factors on R, G and B of each image; None for ones.
+        stack: The images.
 
     Raises:
         ValueError: If the shape is not (N, 3) or a gain is not positive.
@@ -284,7 +310,7 @@ def pixel_scales(stack: Stack, gains: Any = None) -> list[Any]:
     factors = np.ones((stack.count, 3)) if gains is None else np.asarray(gains, dtype=np.float64)
     if factors.shape != (stack.count, 3) or not (np.isfinite(factors) & (factors > 0.0)).all():
         raise ValueError(f"gains must be ({stack.count}, 3) positive numbers, got {gains!r}")
-    return [wp.vec3(*row) for row in factors / stack.white]
+    return factors
 
 
 def device_of(values: Any, device: Any = None) -> Any:

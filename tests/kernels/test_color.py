@@ -71,6 +71,10 @@ def test_brighten_equals_twin_and_leaves_hue(device: str, seed: int, dtype: str)
         twin = reference.brighten(images, keep, 0.6, 0.4, 3.0)
         tolerance = 1e-5 if dtype == "float32" else 0.51
         assert np.abs(ours - twin).max() <= tolerance
+        gains = np.random.default_rng(seed).uniform(0.5, 1.0, (len(images), 3))
+        levelled = brighten(images, keep, target_value=0.6, gains=gains, device=device)
+        twin = reference.brighten(images, keep, 0.6, 0.6, 3.0, gains)
+        assert np.abs(levelled - twin).max() <= tolerance
         assert (ours[~keep] == images[~keep]).all()
         if colour and dtype == "float32":
             before, after = rgb_to_hsv(images), rgb_to_hsv(ours)

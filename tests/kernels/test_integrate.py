@@ -63,10 +63,11 @@ def test_integral_equals_twin(
     view, surface = random_view(rng), random_surface(rng)
     aperture = None if rng.random() < 0.5 else rng.uniform(2, 10)
     frames = None if rng.random() < 0.5 else list(rng.permutation(count)[: max(1, count - 1)])
-    integrator = Integrator(camera, images, poses, weights, device=device)
+    gains = None if rng.random() < 0.5 else rng.uniform(0.5, 1.5, (count, 3))
+    integrator = Integrator(camera, images, poses, weights, device=device, gains=gains)
     image, footprint = integrator.integrate(view, surface, aperture, frames)
     twin, cover = reference.integrate(
-        camera, images, poses, view, surface, weights, aperture, frames
+        camera, images, poses, view, surface, weights, aperture, frames, gains
     )
     assert image.dtype == footprint.dtype == np.float32
     assert image.shape == twin.shape

@@ -1,0 +1,142 @@
+"""A focal sweep of a flight: the masked integral image at many depths, and how sharp each is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hsvaos.camera import VirtualCamera
+from hsvaos.flight import Flight, FlightError
+from hsvaos.kernels.device import resolve_device
+from hsvaos.kernels.integrate import Integrator
+from hsvaos.kernels.sweep import MEASURES, best_focus, focus_measure
+from hsvaos.masking import make_masks
+from hsvaos.photos import Progress, load_photos
+from hsvaos.rendering import make_renderer
+from hsvaos.settings import Settings
+from hsvaos.surface import FocalPlane
+from hsvaos.viewing import sized_view
+
+_PLANES_AT_ONCE = 4
+
+
+@dataclass(frozen=True, eq=False)
+class FocalSweep:
+    """A focal stack and what its planes measure.
+
+    Args:
+        downs_m: Shape (D,), depths of the planes [m].
+        images: Shape (D, H, W, C), float32, integral images.
+        footprints: Shape (D, H, W), float32.
+        curves: Shape (D,) each, focus measures of the plain integral by name.
+        focus_m: Depth of the most prominent peak of the kurtosis [m].
+        prominence: How far that peak rises above its valleys (0: there is no inner peak).
+        frame: Whose pose the view has.
+        notes: What the user should know.
+    """
+
+    downs_m: NDArray[np.float64]
+    images: NDArray[np.float32]
+    footprints: NDArray[np.float32]
+    curves: dict[str, NDArray[np.float64]]
+    focus_m: float
+    prominence: float
+    frame: str
+    notes: tuple[str, ...]
+
+    def summary(self) -> str:
+        """Return one line about the focus."""
+        if self.prominence == 0.0:
+            return "no plane stands out: the focus curve has no inner peak"
+        return (
+            f"sharpest small things at down = {self.focus_m:.2f} m "
+            f"(peak {100 * self.prominence:.0f} % above its valleys)"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return depths, curves and focus for JSON."""
+        return {
+            "frame": self.frame,
+            "downs_m": self.downs_m.tolist(),
+            "curves": {name: curve.tolist() for name, curve in self.curves.items()},
+            "focus_m": self.focus_m,
+            "prominence": self.prominence,
+            "notes": list(self.notes),
+        }
+
+
+def sweep_flight(
+    flight: Flight,
+    first_m: float,
+    last_m: float,
+    steps: int,
+    settings: Settings | None = None,
+    *,
+    size_px: int = 1024,
+    device: Any = "cpu",
+    progress: Progress | None = None,
+) -> FocalSweep:
+    """Render a flight's masked integral image on horizontal planes between two depths.
+
+    Args:
+        flight: Photos with poses.
+        first_m: Down of the first plane [m].
+        last_m: Down of the last plane [m].
+        steps: Number of planes, at least 2.
+        settings: Mask, view and photos as for `run`.
+        size_px: Longest side of the pictures, at most that of the photos.
+        device: "cpu", "cuda:0", ...
+        progress: Called with stage, steps done and steps in all.
+
+    Raises:
+        FlightError: If the flight cannot be used or no plane is seen.
+        ValueError: If the range makes no sense.
+    """
+    if not (np.isfinite([first_m, last_m]).all() and first_m < last_m) or steps < 2:
+        raise ValueError(
+            f"a sweep runs downwards over at least 2 planes: expected --from below --to, got "
+            f"{first_m!r} to {last_m!r} in {steps}"
+        )
+    settings = settings or Settings()
+    photos = load_photos(flight, settings.photos.scale, resolve_device(device), progress)
+    masks = make_masks(photos, settings, progress)
+    plain = Integrator(photos.flight.camera, photos.images, photos.flight.poses, photos.valid)
+    chosen = make_renderer(photos, masks, plain, settings, FocalPlane(first_m)).chosen
+    name, view = _view(photos.flight, settings.view.frame, size_px)
+    downs = np.linspace(first_m, last_m, steps)
+    pictures: list[Any] = []
+    footprints: list[Any] = []
+    curves: dict[str, list[Any]] = {measure: [] for measure in MEASURES}
+    for start in range(0, steps, _PLANES_AT_ONCE):
+        part = downs[start : start + _PLANES_AT_ONCE]
+        stack, cover = plain.sweep(view, part)
+        for measure in MEASURES:
+            curves[measure].append(focus_measure(stack, cover, measure))
+        if chosen is not plain:
+            stack, cover = chosen.sweep(view, part)
+        pictures.append(stack.numpy())
+        footprints.append(cover.numpy())
+        if progress is not None:
+            progress("sweeping", min(start + _PLANES_AT_ONCE, steps), steps)
+    footprint = np.concatenate(footprints)
+    if not footprint.any():
+        raise FlightError(
+            f"no photo sees a plane between down = {first_m:.2f} m and {last_m:.2f} m from view "
+            f"{name}: expected depths below the cameras"
+        )
+    joined = {measure: np.concatenate(parts) for measure, parts in curves.items()}
+    focus, prominence = best_focus(downs, joined["kurtosis"])
+    notes = (*flight.notes, *photos.notes, *masks.notes)
+    return FocalSweep(
+        downs, np.concatenate(pictures), footprint, joined, focus, prominence, name, notes
+    )
+
+
+def _view(flight: Flight, frame: str, size_px: int) -> tuple[str, VirtualCamera]:
+    if frame in ("all", "ortho"):
+        raise ValueError(f"a sweep needs the view of one frame, got {frame!r}")
+    index = flight.centre_index if frame in ("centre", "center") else flight.index(frame)
+    return flight.frames[index].name, sized_view(flight, index, size_px)
