@@ -26,10 +26,10 @@ from hsvaos.kernels.integrate import Integrator
 from hsvaos.kernels.rarity import rarity_weights
 from hsvaos.simulate.estimate import estimated_poses
 from hsvaos.simulate.forest import ForestSettings
+from hsvaos.simulate.instances import Kind
 from hsvaos.simulate.mission import Mission
 from hsvaos.simulate.occlusion import label, mean_fraction
 from hsvaos.simulate.people import Person
-from hsvaos.simulate.scene import Kind
 from hsvaos.simulate.seasons import SEASONS
 from hsvaos.simulate.settings import SimulationSettings
 from hsvaos.simulate.simulation import Simulation
@@ -207,7 +207,8 @@ def table() -> str:
     lines = [
         "# What the hue mask does on simulated flights",
         "",
-        "Made by `python bench/simulate_effect.py run` and `... table`. Every number is measured on",
+        "Made by `python bench/simulate_effect.py run` and `... table`. Every number is measured",
+        "on",
         "flights of the default forest: photos of "
         f"{flights[0]['size']} x {flights[0]['size']}, {flights[0]['photos']} a flight, 90 deg,",
         "20 m, eight people. ± is the standard deviation over flights (first three tables) or",
@@ -218,8 +219,8 @@ def table() -> str:
         "Circular statistics are weighted by saturation x value, linear ones are the paper's.",
         "`cut` is the share of the photos in which hue says anything and the circular mask cuts.",
         "",
-        "| season | flights | mean [deg] | sigma [deg] | within | cut | linear mean | linear sigma |"
-        " linear within |",
+        "| season | flights | mean [deg] | sigma [deg] | within | cut | linear mean "
+        "| linear sigma | linear within |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for season in SEASONS:
@@ -263,8 +264,7 @@ def table() -> str:
     for season in SEASONS:
         errors = [f["ekf_error"] for f in flights if f["season"] == season]
         cells = [
-            _cell([e[k] for e in errors], 3)
-            for k in ("horizontal_m", "vertical_m", "attitude_deg")
+            _cell([e[k] for e in errors], 3) for k in ("horizontal_m", "vertical_m", "attitude_deg")
         ]
         lines.append(f"| {season} | " + " | ".join(cells) + " |")
     for index, title in ((0, "Contrast of people [grey levels]"), (1, "Contrast to noise")):
@@ -283,8 +283,13 @@ def table() -> str:
                 cells = [
                     _cell([p[key][index] for p in own if p[key] is not None])
                     for key in (
-                        "single_true", "plain_true", "masked_true", "rarity_true",
-                        "plain_ekf", "masked_ekf", "rarity_ekf",
+                        "single_true",
+                        "plain_true",
+                        "masked_true",
+                        "rarity_true",
+                        "plain_ekf",
+                        "masked_ekf",
+                        "rarity_ekf",
                     )
                 ]
                 lines.append(

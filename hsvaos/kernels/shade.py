@@ -178,7 +178,9 @@ def _shade(
         view = seen(
             sky_depth, start, light.sky_size, at_sky[0], at_sky[1], at_sky[2] - light.sky_bias
         )
-        towards = wp.vec3(-sky_from_world[m][2, 0], -sky_from_world[m][2, 1], -sky_from_world[m][2, 2])
+        towards = wp.vec3(
+            -sky_from_world[m][2, 0], -sky_from_world[m][2, 1], -sky_from_world[m][2, 2]
+        )
         lambert = wp.max(wp.dot(normal, towards), 0.0)
         # Leaves take light from both sides; solid surfaces only from their own hemisphere.
         share = lambert + translucent * (1.0 - lambert) * 0.7 + 0.02

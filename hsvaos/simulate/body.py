@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hsvaos.simulate.clothes import Outfit
 from hsvaos.simulate.mesh import Material, Mesh
 
 Array = NDArray[np.float64]
-Rgb = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -52,116 +52,131 @@ def _sides() -> list[Part]:
     for side, sign in (("left", 1.0), ("right", -1.0)):
         out = (-20.0, 75.0) if sign > 0 else (-75.0, 20.0)
         parts += [
-            Part(f"{side} upper arm", "chest", (0.0, 0.19 * sign, 0.42), (0.0, 0.20 * sign, 0.28),
-                 0.11, 0.052, 0.052, 2, 2.0,
-                 ((-20.0, 110.0) if sign > 0 else (-110.0, 20.0), (-120.0, 40.0), (-50.0, 50.0)),
-                 "sleeve"),
-            Part(f"{side} forearm", f"{side} upper arm", (0.0, 0.20 * sign, 0.14),
-                 (0.0, 0.20 * sign, 0.02), 0.10, 0.042, 0.042, 2, 1.3,
-                 ((-2.0, 2.0), (-135.0, 0.0), (-60.0, 60.0)), "sleeve"),
-            Part(f"{side} hand", f"{side} forearm", (0.0, 0.20 * sign, -0.10),
-                 (0.0, 0.20 * sign, -0.16), 0.04, 0.022, 0.042, 2, 0.5,
-                 ((-20.0, 20.0), (-50.0, 50.0), (-5.0, 5.0)), "skin"),
-            Part(f"{side} thigh", "pelvis", (0.0, 0.09 * sign, -0.06), (0.0, 0.10 * sign, -0.27),
-                 0.15, 0.080, 0.080, 2, 8.5,
-                 (out, (-110.0, 25.0), (-35.0, 35.0)), "bottom"),
-            Part(f"{side} shank", f"{side} thigh", (0.0, 0.10 * sign, -0.48),
-                 (0.0, 0.10 * sign, -0.68), 0.16, 0.056, 0.056, 2, 3.6,
-                 ((-2.0, 2.0), (0.0, 130.0), (-10.0, 10.0)), "bottom"),
-            Part(f"{side} foot", f"{side} shank", (0.0, 0.10 * sign, -0.88),
-                 (0.06, 0.10 * sign, -0.91), 0.085, 0.042, 0.046, 0, 1.1,
-                 ((-15.0, 15.0), (-20.0, 45.0), (-10.0, 10.0)), "shoe"),
+            Part(
+                f"{side} upper arm",
+                "chest",
+                (0.0, 0.19 * sign, 0.42),
+                (0.0, 0.20 * sign, 0.28),
+                0.11,
+                0.052,
+                0.052,
+                2,
+                2.0,
+                ((-20.0, 110.0) if sign > 0 else (-110.0, 20.0), (-120.0, 40.0), (-50.0, 50.0)),
+                "sleeve",
+            ),
+            Part(
+                f"{side} forearm",
+                f"{side} upper arm",
+                (0.0, 0.20 * sign, 0.14),
+                (0.0, 0.20 * sign, 0.02),
+                0.10,
+                0.042,
+                0.042,
+                2,
+                1.3,
+                ((-2.0, 2.0), (-135.0, 0.0), (-60.0, 60.0)),
+                "sleeve",
+            ),
+            Part(
+                f"{side} hand",
+                f"{side} forearm",
+                (0.0, 0.20 * sign, -0.10),
+                (0.0, 0.20 * sign, -0.16),
+                0.04,
+                0.022,
+                0.042,
+                2,
+                0.5,
+                ((-20.0, 20.0), (-50.0, 50.0), (-5.0, 5.0)),
+                "skin",
+            ),
+            Part(
+                f"{side} thigh",
+                "pelvis",
+                (0.0, 0.09 * sign, -0.06),
+                (0.0, 0.10 * sign, -0.27),
+                0.15,
+                0.080,
+                0.080,
+                2,
+                8.5,
+                (out, (-110.0, 25.0), (-35.0, 35.0)),
+                "bottom",
+            ),
+            Part(
+                f"{side} shank",
+                f"{side} thigh",
+                (0.0, 0.10 * sign, -0.48),
+                (0.0, 0.10 * sign, -0.68),
+                0.16,
+                0.056,
+                0.056,
+                2,
+                3.6,
+                ((-2.0, 2.0), (0.0, 130.0), (-10.0, 10.0)),
+                "bottom",
+            ),
+            Part(
+                f"{side} foot",
+                f"{side} shank",
+                (0.0, 0.10 * sign, -0.88),
+                (0.06, 0.10 * sign, -0.91),
+                0.085,
+                0.042,
+                0.046,
+                0,
+                1.1,
+                ((-15.0, 15.0), (-20.0, 45.0), (-10.0, 10.0)),
+                "shoe",
+            ),
         ]
     return parts
 
 
 PARTS: tuple[Part, ...] = (
-    Part("pelvis", "", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.08, 0.105, 0.125, 1, 11.0,
-         ((0.0, 0.0),) * 3, "bottom"),
-    Part("chest", "pelvis", (0.0, 0.0, 0.10), (0.0, 0.0, 0.29), 0.15, 0.115, 0.175, 2, 26.0,
-         ((-30.0, 30.0), (-20.0, 60.0), (-35.0, 35.0)), "top"),
-    Part("head", "chest", (0.0, 0.0, 0.50), (0.015, 0.0, 0.63), 0.03, 0.098, 0.082, 2, 5.0,
-         ((-35.0, 35.0), (-45.0, 50.0), (-60.0, 60.0)), "head"),
+    Part(
+        "pelvis",
+        "",
+        (0.0, 0.0, 0.0),
+        (0.0, 0.0, 0.0),
+        0.08,
+        0.105,
+        0.125,
+        1,
+        11.0,
+        ((0.0, 0.0),) * 3,
+        "bottom",
+    ),
+    Part(
+        "chest",
+        "pelvis",
+        (0.0, 0.0, 0.10),
+        (0.0, 0.0, 0.29),
+        0.15,
+        0.115,
+        0.175,
+        2,
+        26.0,
+        ((-30.0, 30.0), (-20.0, 60.0), (-35.0, 35.0)),
+        "top",
+    ),
+    Part(
+        "head",
+        "chest",
+        (0.0, 0.0, 0.50),
+        (0.015, 0.0, 0.63),
+        0.03,
+        0.098,
+        0.082,
+        2,
+        5.0,
+        ((-35.0, 35.0), (-45.0, 50.0), (-60.0, 60.0)),
+        "head",
+    ),
     *_sides(),
 )
 """A body of 1.75 m and 75 kg."""
-
-
-@dataclass(frozen=True)
-class Outfit:
-    """Colours of a person, linear RGB.
-
-    Args:
-        name: Plain name of the clothes.
-        top: Jacket or shirt.
-        bottom: Trousers.
-        shoe: Shoes.
-        skin: Skin.
-        hair: Hair or hat.
-        short_sleeves: Whether forearms show skin.
-    """
-
-    name: str
-    top: Rgb
-    bottom: Rgb
-    shoe: Rgb
-    skin: Rgb
-    hair: Rgb
-    short_sleeves: bool = False
-
-
-_TOPS: dict[str, Rgb] = {
-    "red": (0.42, 0.030, 0.028),
-    "blue": (0.030, 0.075, 0.34),
-    "orange": (0.60, 0.16, 0.015),
-    "white": (0.62, 0.62, 0.60),
-    "black": (0.018, 0.018, 0.020),
-    "olive": (0.070, 0.078, 0.030),
-    "dark green": (0.022, 0.050, 0.024),
-    "yellow": (0.58, 0.44, 0.030),
-    "purple": (0.16, 0.035, 0.22),
-    "grey": (0.15, 0.15, 0.16),
-    "brown": (0.11, 0.060, 0.030),
-    "light blue": (0.22, 0.38, 0.58),
-}
-_BOTTOMS: tuple[Rgb, ...] = (
-    (0.035, 0.060, 0.14), (0.020, 0.020, 0.022), (0.17, 0.13, 0.08), (0.060, 0.065, 0.035),
-    (0.11, 0.11, 0.115), (0.05, 0.035, 0.025),
-)
-_SKINS: tuple[Rgb, ...] = (
-    (0.56, 0.34, 0.24), (0.46, 0.26, 0.17), (0.32, 0.17, 0.10), (0.17, 0.085, 0.050),
-    (0.085, 0.045, 0.028),
-)
-_HAIRS: tuple[Rgb, ...] = (
-    (0.020, 0.015, 0.012), (0.060, 0.035, 0.020), (0.20, 0.13, 0.060), (0.30, 0.29, 0.28),
-)
-OUTFITS: tuple[str, ...] = tuple(_TOPS)
-"""Names of the colours of tops."""
-
-
-def dress(seed: list[int], top: str | None = None) -> Outfit:
-    """Choose clothes, skin and hair.
-
-    Args:
-        seed: Of the choice.
-        top: Colour of the top by name; any if None.
-
-    Raises:
-        ValueError: If there is no such colour.
-    """
-    rng = np.random.default_rng(seed)
-    if top is not None and top not in _TOPS:
-        raise ValueError(f"clothes must be one of {', '.join(_TOPS)}, got {top!r}")
-    name = top if top is not None else str(rng.choice(list(_TOPS)))
-    return Outfit(
-        name,
-        _TOPS[name],
-        _BOTTOMS[int(rng.integers(len(_BOTTOMS)))],
-        tuple(np.exp(rng.uniform(-4.2, -1.5)) * np.array([1.0, 0.9, 0.8])),  # type: ignore[arg-type]
-        _SKINS[int(rng.integers(len(_SKINS)))],
-        _HAIRS[int(rng.integers(len(_HAIRS)))],
-        bool(rng.uniform() < 0.3),
-    )
 
 
 def _rounded(part: Part, rings: int = 9, sides: int = 12) -> tuple[Array, Array, Array]:
@@ -182,8 +197,11 @@ def _rounded(part: Part, rings: int = 9, sides: int = 12) -> tuple[Array, Array,
     a = np.concatenate([p01 - p00, p10 - p11])
     b = np.concatenate([p10 - p00, p01 - p11])
     keep = np.linalg.norm(np.cross(a, b), axis=1) > 1e-10
-    turned = {2: np.eye(3), 0: np.array([[0, 0, 1.0], [0, 1.0, 0], [-1.0, 0, 0]]),
-              1: np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])}[part.axis]
+    turned = {
+        2: np.eye(3),
+        0: np.array([[0, 0, 1.0], [0, 1.0, 0], [-1.0, 0, 0]]),
+        1: np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]]),
+    }[part.axis]
     return corner[keep] @ turned.T, a[keep] @ turned.T, b[keep] @ turned.T
 
 
@@ -215,10 +233,17 @@ def body_mesh(places: Array, quaternions: Array, outfit: Outfit, seed: list[int]
     for k, part in enumerate(PARTS):
         corner, a, b = _rounded(part)
         middle = corner + (a + b) / 3
-        colour = np.tile({
-            "top": outfit.top, "bottom": outfit.bottom, "shoe": outfit.shoe, "skin": outfit.skin,
-            "head": outfit.skin, "sleeve": outfit.top,
-        }[part.wears], (len(corner), 1))
+        colour = np.tile(
+            {
+                "top": outfit.top,
+                "bottom": outfit.bottom,
+                "shoe": outfit.shoe,
+                "skin": outfit.skin,
+                "head": outfit.skin,
+                "sleeve": outfit.top,
+            }[part.wears],
+            (len(corner), 1),
+        )
         material = Material.CLOTH
         if part.wears in ("skin", "head") or (
             outfit.short_sleeves and part.name.endswith("forearm")
@@ -228,7 +253,9 @@ def body_mesh(places: Array, quaternions: Array, outfit: Outfit, seed: list[int]
                 colour[:] = outfit.skin
         # Folds of cloth: bands of light and dark along the limb.
         fold = 0.10 * np.sin(middle[:, 2] * rng.uniform(45.0, 80.0) + rng.uniform(0.0, 6.0))
-        colour = np.clip(colour * np.exp(fold + 0.05 * rng.standard_normal(len(corner)))[:, None], 0, 1)
+        colour = np.clip(
+            colour * np.exp(fold + 0.05 * rng.standard_normal(len(corner)))[:, None], 0, 1
+        )
         groups = [(np.ones(len(corner), bool), material)]
         if part.wears == "head":
             hair = (middle[:, 2] > 0.025) | (middle[:, 0] < -0.035)

@@ -22,6 +22,14 @@ def _span(text: str) -> tuple[float, float]:
     return start, stop
 
 
+def _lens(text: str) -> tuple[float, float, float, float, float]:
+    try:
+        k1, k2, p1, p2, k3 = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ValueError(f"distortion must be 5 numbers k1,k2,p1,p2,k3, got {text!r}") from None
+    return k1, k2, p1, p2, k3
+
+
 def _names(text: str | None) -> tuple[str, ...] | None:
     return None if text is None else tuple(part.strip() for part in text.split(",") if part.strip())
 
@@ -77,9 +85,7 @@ def simulate(
     ] = None,
     clothes: Annotated[
         str | None,
-        typer.Option(
-            help="Colours of tops in turn, such as red,olive.", rich_help_panel=_PEOPLE
-        ),
+        typer.Option(help="Colours of tops in turn, such as red,olive.", rich_help_panel=_PEOPLE),
     ] = None,
     fresh_poses: Annotated[
         bool,
@@ -88,9 +94,7 @@ def simulate(
             rich_help_panel=_PEOPLE,
         ),
     ] = False,
-    photos: Annotated[
-        int, typer.Option(help="How many photos.", rich_help_panel=_FLIGHT)
-    ] = 117,
+    photos: Annotated[int, typer.Option(help="How many photos.", rich_help_panel=_FLIGHT)] = 117,
     height_m: Annotated[
         float, typer.Option(help="Flight height above ground.", rich_help_panel=_FLIGHT)
     ] = 20.0,
@@ -150,27 +154,37 @@ def simulate(
     from hsvaos.simulate.settings import SensorSettings, SimulationSettings
     from hsvaos.simulate.vehicle import Wind
 
-    try:
-        numbers = [float(x) for x in distortion.split(",")]
-    except ValueError:
-        raise ValueError(f"distortion must be 5 numbers k1,k2,p1,p2,k3, got {distortion!r}") from None
+    lens = _lens(distortion)
     turn = float(np.random.default_rng([max(seed, 0), 97]).uniform(0.0, 2.0 * np.pi))
     wind = Wind((wind_m_s * float(np.cos(turn)), wind_m_s * float(np.sin(turn)), 0.0), gusts_m_s)
     settings = SimulationSettings(
         forest=ForestSettings(
-            season=season, density=density, seed=seed, leaf_density=leaf_density, glades=glades,
-            relief_m=relief_m, sun_elevation_deg=sun_elevation, sun_azimuth_deg=sun_azimuth,
-            cloud=cloud, detail=detail,
+            season=season,
+            density=density,
+            seed=seed,
+            leaf_density=leaf_density,
+            glades=glades,
+            relief_m=relief_m,
+            sun_elevation_deg=sun_elevation,
+            sun_azimuth_deg=sun_azimuth,
+            cloud=cloud,
+            detail=detail,
         ),
         mission=Mission(photos=photos, height_m=height_m, speed_m_s=speed_m_s, wind=wind),
-        camera=replace(Camera.from_fov(size, size, fov), distortion=tuple(numbers)),
+        camera=replace(Camera.from_fov(size, size, fov), distortion=lens),
         sensors=SensorSettings(
-            imu=imu, gnss=gnss, gnss_latency_s=gnss_latency_s,
+            imu=imu,
+            gnss=gnss,
+            gnss_latency_s=gnss_latency_s,
             gnss_outages_s=tuple(_span(text) for text in gnss_outage or ()),
             gnss_outlier_share=gnss_outliers,
         ),
-        people=people, classes=_names(classes), clothes=_names(clothes), fresh_poses=fresh_poses,
-        thermal=thermal, jpeg_quality=quality,
+        people=people,
+        classes=_names(classes),
+        clothes=_names(clothes),
+        fresh_poses=fresh_poses,
+        thermal=thermal,
+        jpeg_quality=quality,
     )
     console = Console(stderr=True)
     settings = _solved(settings, closure, visible, device, console)
@@ -199,7 +213,11 @@ def _solved(
     if visible is not None:
         with console.status("finding the leaf density"):
             forest, got = solve_visible(
-                settings.forest, visible, settings.camera, settings.mission.poses(), half,
+                settings.forest,
+                visible,
+                settings.camera,
+                settings.mission.poses(),
+                half,
                 device=device,
             )
         console.print(f"leaf density {forest.leaf_density:.3f}: {got:.4f} of the ground visible")
@@ -211,7 +229,13 @@ def _write(
     settings: SimulationSettings, output: Path, device: str, only_preview: bool, console: Any
 ) -> None:
     import cv2
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
 
     from hsvaos.simulate.record import preview, simulate_flight
     from hsvaos.simulate.simulation import Simulation
@@ -229,7 +253,10 @@ def _write(
         console.print(f"{path}")
         return
     columns = (
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
     )
     with Progress(*columns, console=console) as bar:
         task = bar.add_task("growing the forest", total=settings.mission.photos)

@@ -89,9 +89,9 @@ class Ground:
         cover[inside < -6.0] = 0.0
         patch = noise(rng, size, max(int(2.0 * self.half_m / 4.0), 1)) + 0.5 * fine
         share = np.clip(0.5 + 0.4 * patch, 0.0, 1.0)[..., None]
-        blade = np.exp(
-            0.22 * fine + 0.22 * rng.standard_normal((size, size), dtype=np.float32)
-        )[..., None]
+        blade = np.exp(0.22 * fine + 0.22 * rng.standard_normal((size, size), dtype=np.float32))[
+            ..., None
+        ]
         first, second = colours[0].astype(np.float32), colours[-1].astype(np.float32)
         grass = (first * share + second * (1.0 - share)) * blade * np.float32(0.62)
         old = (self.colour.astype(np.float32) / 255.0) ** 2
@@ -117,9 +117,7 @@ class Ground:
                 corner = np.concatenate([p00.reshape(-1, 3), p11.reshape(-1, 3)])
                 a = np.concatenate([(p01 - p00).reshape(-1, 3), (p10 - p11).reshape(-1, 3)])
                 b = np.concatenate([(p10 - p00).reshape(-1, 3), (p01 - p11).reshape(-1, 3)])
-                mesh = Mesh.build(
-                    corner, a, b, Material.GROUND, (0.1, 0.1, 0.1), triangle=True
-                )
+                mesh = Mesh.build(corner, a, b, Material.GROUND, (0.1, 0.1, 0.1), triangle=True)
                 parts.append((mesh, place))
         return parts
 
@@ -152,9 +150,7 @@ def make_ground(
     return Ground(half_m, down, _paint(rng, season, texture_size, half_m))
 
 
-def _paint(
-    rng: np.random.Generator, season: Season, size: int, half_m: float
-) -> NDArray[np.uint8]:
+def _paint(rng: np.random.Generator, season: Season, size: int, half_m: float) -> NDArray[np.uint8]:
     """Paint litter, soil, moss and snow; shape (size, size, 3), square roots of linear RGB."""
     across = 2.0 * half_m
     scores = []

@@ -180,9 +180,7 @@ def tube(points: ArrayLike, radii: ArrayLike, sides: int) -> tuple[Points, Point
     e1 /= np.linalg.norm(e1, axis=1, keepdims=True)
     e2 = np.cross(axis, e1)
     angle = np.arange(sides + 1) * (2.0 * np.pi / sides)
-    ring = (
-        np.cos(angle)[None, :, None] * e1[:, None] + np.sin(angle)[None, :, None] * e2[:, None]
-    )
+    ring = np.cos(angle)[None, :, None] * e1[:, None] + np.sin(angle)[None, :, None] * e2[:, None]
     low = ends[:, None, 0] + ring * radius[:, None, :1]
     high = ends[:, None, 1] + ring * radius[:, None, 1:]
     corner = low[:, :-1]

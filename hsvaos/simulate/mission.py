@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,7 @@ class Mission:
     photo_distance_m: float = 5.0
     strip_distance_m: float = 8.0
     speed_m_s: float = 5.0
-    wind: Wind = Wind()
+    wind: Wind = field(default_factory=Wind)
     hover_s: float = 6.0
 
     def __post_init__(self) -> None:
@@ -194,9 +194,7 @@ def _leg(length: float, speed: float, acceleration: float) -> tuple[Array, Array
     return way, v
 
 
-def _triggers(
-    mission: Mission, places: Array, position: Array, strip: NDArray[np.int64]
-) -> Array:
+def _triggers(mission: Mission, places: Array, position: Array, strip: NDArray[np.int64]) -> Array:
     times = np.empty(len(places))
     for k in range(mission.strips):
         steps = np.flatnonzero(strip == k)
@@ -217,11 +215,11 @@ def _consistent(position: Array, velocity: Array, quaternion: Array) -> TrueMoti
     flips = np.cumprod(np.where(np.sum(quaternion[1:] * quaternion[:-1], axis=1) < 0.0, -1.0, 1.0))
     q = quaternion.copy()
     q[1:] *= flips[:, None]
-    t = np.arange(len(q)) * STEP_S
     turn = attitude.log(attitude.multiply(attitude.conjugate(q[:-1]), q[1:])) / STEP_S
     rate = np.empty_like(position)
     rate[1:-1] = 0.5 * (turn[1:] + turn[:-1])
     rate[0], rate[-1] = turn[0], turn[-1]
     force = np.gradient(velocity, STEP_S, axis=0) - (0.0, 0.0, GRAVITY)
     body = attitude.rotate(attitude.conjugate(q), force)
+    t = np.asarray(np.arange(len(q)) * STEP_S, dtype=np.float64)
     return TrueMotion(t, position, velocity, q, rate, body)

@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 
 from hsvaos.camera import Camera
 from hsvaos.kernels.device import threads
+from hsvaos.simulate.buffers import depths, instance_numbers, ray_table
 from hsvaos.simulate.forest import Forest, ForestSettings, grow_forest
-from hsvaos.simulate.scene import Kind, Scene, depths, instance_numbers, ray_table
+from hsvaos.simulate.instances import Kind
+from hsvaos.simulate.scene import Scene
 
 Array = NDArray[np.float64]
 
@@ -89,8 +91,10 @@ def visibility_map(
         place = pose[:2, 3] + way[:, :2] * to_ground[:, None]
         cell = np.floor((place + half_m) / cell_m).astype(np.int64)
         inside = (to_ground > 0.0) & (cell >= 0).all(axis=1) & (cell < side).all(axis=1)
-        # What is hit more than knee-high above the mean ground hides it.
-        seen = (pose[2, 3] + way[:, 2] * depth) > -_ABOVE_GROUND_M
+        # What is hit more than knee-high above the ground hides it.
+        hit = pose[:3, 3] + way * np.nan_to_num(depth, nan=1e3)[:, None]
+        above = scene.ground.down_at(hit[:, 0], hit[:, 1]) - hit[:, 2]
+        seen = above < _ABOVE_GROUND_M
         index = cell[:, 0] * side + cell[:, 1]
         return (
             np.bincount(index[inside], minlength=side * side).astype(np.float64),

@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hsvaos.simulate.body import Outfit, body_mesh, dress
+from hsvaos.simulate.body import body_mesh
+from hsvaos.simulate.clothes import Outfit, dress
 from hsvaos.simulate.ground import Ground
 from hsvaos.simulate.mesh import Material, Mesh, tube
 
@@ -122,7 +123,10 @@ def stake_mesh(height_m: float = 0.5, plate_m: float = 0.30) -> Mesh:
     """
     half = plate_m / 2
     plate = Mesh.build(
-        [[-half, -half, 0.0]], [[plate_m, 0, 0]], [[0, plate_m, 0]], Material.TARGET,
+        [[-half, -half, 0.0]],
+        [[plate_m, 0, 0]],
+        [[0, plate_m, 0]],
+        Material.TARGET,
         (0.75, 0.75, 0.75),
     )
     ends = np.array([[[0.0, 0.0, 0.01], [0.0, 0.0, height_m + 0.2]]])

@@ -75,7 +75,7 @@ def smear(image: Image, motion_px: NDArray[np.float64]) -> Image:
     """Blur along a straight motion, centred, so that nothing shifts.
 
     Args:
-        image: Shape (H, W, C), float32.
+        image: Shape (H, W) or (H, W, C), float32.
         motion_px: Shape (2,), motion during the exposure, x and y [px].
     """
     length = float(np.hypot(*motion_px))
@@ -94,6 +94,13 @@ def smear(image: Image, motion_px: NDArray[np.float64]) -> Image:
         kernel[r + 1, c + 1] += fx * fy
     kernel /= kernel.sum()
     return np.asarray(cv2.filter2D(image, -1, kernel, borderType=cv2.BORDER_REFLECT), np.float32)
+
+
+def _blur(image: Image, sigma_px: float) -> Image:
+    if sigma_px <= 0.05:
+        return image
+    soft = cv2.GaussianBlur(image, (0, 0), sigma_px, borderType=cv2.BORDER_REFLECT)
+    return np.asarray(soft, dtype=np.float32)
 
 
 def tone(linear: Image, contrast: float) -> Image:
@@ -125,11 +132,7 @@ def expose(
     """
     height, width = radiance.shape[:2]
     ev = effects.exposure_ev + effects.exposure_jitter_ev * float(rng.standard_normal())
-    light = smear(radiance * np.float32(gain * 2.0**ev), motion_px)
-    if effects.blur_px > 0.05:
-        light = cv2.GaussianBlur(
-            light, (0, 0), effects.blur_px, borderType=cv2.BORDER_REFLECT
-        )
+    light = _blur(smear(radiance * np.float32(gain * 2.0**ev), motion_px), effects.blur_px)
     y = (np.arange(height, dtype=np.float32) - (height - 1) / 2) * (2.0 / max(height, width))
     x = (np.arange(width, dtype=np.float32) - (width - 1) / 2) * (2.0 / max(height, width))
     r2 = (y[:, None] ** 2 + x[None, :] ** 2) / np.float32(2.0)
@@ -160,15 +163,10 @@ def expose_thermal(
     Returns:
         Shape (H, W), uint8.
     """
-    heat = smear(temperature_c[..., None], motion_px)
-    heat = heat.reshape(temperature_c.shape)
     # Thermal lenses are softer than those of colour cameras.
-    heat = cv2.GaussianBlur(
-        heat, (0, 0), float(np.hypot(effects.blur_px, 0.8)), borderType=cv2.BORDER_REFLECT
-    )
-    height, width = heat.shape
+    heat = _blur(smear(temperature_c, motion_px), float(np.hypot(effects.blur_px, 0.8)))
     noise = 0.06 * rng.standard_normal(heat.shape, dtype=np.float32)
-    noise += 0.03 * rng.standard_normal((1, width), dtype=np.float32)
+    noise += 0.03 * rng.standard_normal((1, heat.shape[1]), dtype=np.float32)
     low, high = span_c
     shown = (heat + noise - np.float32(low)) / np.float32(high - low)
     return np.asarray(np.clip(np.rint(shown * 255.0), 0, 255), dtype=np.uint8)

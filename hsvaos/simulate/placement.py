@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from hsvaos.camera import Camera
 from hsvaos.simulate.forest import Forest
+from hsvaos.simulate.instances import Instances, Kind
 from hsvaos.simulate.occlusion import (
     CLASSES,
     VisibilityMap,
@@ -18,7 +19,6 @@ from hsvaos.simulate.occlusion import (
     visibility_map,
 )
 from hsvaos.simulate.people import Person, lay_person, stake_mesh
-from hsvaos.simulate.scene import Instances, Kind
 
 Array = NDArray[np.float64]
 
@@ -119,9 +119,11 @@ def place_people(
     """
     if int(count) != count or count < 0:
         raise ValueError(f"people must be a whole number of at least 0, got {count!r}")
-    asked = [] if not count else [
-        (classes or tuple(CLASSES))[k % len(classes or CLASSES)] for k in range(count)
-    ]
+    asked = (
+        []
+        if not count
+        else [(classes or tuple(CLASSES))[k % len(classes or CLASSES)] for k in range(count)]
+    )
     for name in asked:
         if name not in CLASSES:
             raise ValueError(f"classes must be among {', '.join(CLASSES)}, got {name!r}")
@@ -138,8 +140,14 @@ def place_people(
                 north, east = picker.place(asked[k])
                 top = tops[k % len(tops)] if tops else None
                 people[k] = lay_person(
-                    k, forest.ground, north, east, forest.settings.seed,
-                    top=top, asked=asked[k], fresh=fresh,
+                    k,
+                    forest.ground,
+                    north,
+                    east,
+                    forest.settings.seed,
+                    top=top,
+                    asked=asked[k],
+                    fresh=fresh,
                 )
         laid = [p for p in people if p is not None]
         cast = _with_people(forest, laid, [p.asked == "bush" for p in laid])
@@ -196,9 +204,7 @@ class _Picker:
         side = len(chart.visible)
         axis = (np.arange(side) + 0.5) * chart.cell_m - reach
         self._north, self._east = np.meshgrid(axis, axis, indexing="ij")
-        inside = (np.abs(self._north) <= half_m[0] + 3.0) & (
-            np.abs(self._east) <= half_m[1] + 3.0
-        )
+        inside = (np.abs(self._north) <= half_m[0] + 3.0) & (np.abs(self._east) <= half_m[1] + 3.0)
         self.forest = forest
         if clearing:
             best = np.where(inside, smooth(chart, 3.0), -1.0).argmax()
@@ -242,7 +248,5 @@ class _Picker:
 
     def free(self, place: Array) -> None:
         """Give a place up: nobody else is proposed within a metre of it."""
-        self._taken = [
-            t for t in self._taken if np.hypot(t[0] - place[0], t[1] - place[1]) > 1e-6
-        ]
+        self._taken = [t for t in self._taken if np.hypot(t[0] - place[0], t[1] - place[1]) > 1e-6]
         self._tried |= np.hypot(self._north - place[0], self._east - place[1]) < 1.0

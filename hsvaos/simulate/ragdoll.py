@@ -119,7 +119,8 @@ def make_library(count: int, seed: int) -> dict[str, NDArray[np.float32]]:
         "places" (count, 15, 3) [m], heights above the mean ground, and "quaternions"
         (count, 15, 4).
     """
-    places, quaternions = [], []
+    places: list[Array] = []
+    quaternions: list[Array] = []
     axis = np.linspace(-_PATCH_M / 2, _PATCH_M / 2, 41)
     x, y = np.meshgrid(axis, axis)
     attempt = 0

@@ -183,9 +183,7 @@ def people_truth(
                 "north_m": round(float(middle[0]), 4),
                 "east_m": round(float(middle[1]), 4),
                 "down_m": round(float(person.place[2]), 4),
-                "occlusion": None
-                if visible is None
-                else label(visible, simulation.cast.bush[k]),
+                "occlusion": None if visible is None else label(visible, simulation.cast.bush[k]),
                 "asked": person.asked,
                 "clothes": person.outfit.name,
                 "outline_ned_m": np.round(person.outline, 4).tolist(),
@@ -219,9 +217,7 @@ def _write_terrain(simulation: Simulation, path: Path) -> None:
     ground = simulation.forest.ground
     axis = -ground.half_m + ground.spacing_m * np.arange(len(ground.down_m))
     buffer = io.BytesIO()
-    np.savez_compressed(
-        buffer, north_m=axis, east_m=axis, down_m=ground.down_m.astype(np.float32)
-    )
+    np.savez_compressed(buffer, north_m=axis, east_m=axis, down_m=ground.down_m.astype(np.float32))
     _write_whole(path, buffer.getvalue())
 
 

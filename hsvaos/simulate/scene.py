@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
-from enum import IntEnum
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,8 +12,9 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from hsvaos.camera import Camera
-from hsvaos.kernels import raster, shade
+from hsvaos.kernels import depth_map, raster, shade
 from hsvaos.simulate.ground import Ground
+from hsvaos.simulate.instances import Instances
 from hsvaos.simulate.mesh import MATERIALS, WARMTH, Mesh
 from hsvaos.simulate.seasons import Season
 
@@ -23,66 +23,6 @@ Array = NDArray[np.float64]
 SKY_DIRECTIONS = 8
 _DEEPEST_M = 4.0
 _HIGHEST_M = 20.0
-
-
-class Kind(IntEnum):
-    """What an instance is."""
-
-    GROUND = 0
-    TREE = 1
-    BUSH = 2
-    LITTER = 3
-    WOOD = 4
-    PERSON = 5
-    STAKE = 6
-
-
-@dataclass
-class Instances:
-    """Meshes and where they stand, being collected.
-
-    Args:
-        meshes: Every mesh once.
-        mesh: Mesh number of each instance.
-        place: world_from_mesh of each instance, shape (3, 4), NED [m].
-        tint: Factor on the colours of each instance, linear RGB.
-        kind: What each instance is.
-    """
-
-    meshes: list[Mesh] = field(default_factory=list)
-    mesh: list[int] = field(default_factory=list)
-    place: list[Array] = field(default_factory=list)
-    tint: list[tuple[float, float, float]] = field(default_factory=list)
-    kind: list[Kind] = field(default_factory=list)
-
-    def add_mesh(self, mesh: Mesh) -> int:
-        """Add a mesh and return its number."""
-        self.meshes.append(mesh)
-        return len(self.meshes) - 1
-
-    def add(
-        self,
-        mesh: int,
-        kind: Kind,
-        matrix: ArrayLike,
-        position: ArrayLike,
-        tint: tuple[float, float, float] = (1.0, 1.0, 1.0),
-    ) -> int:
-        """Add an instance at a position with a linear part and return its number."""
-        place = np.empty((3, 4))
-        place[:, :3] = matrix
-        place[:, 3] = position
-        self.mesh.append(mesh)
-        self.place.append(place)
-        self.tint.append(tint)
-        self.kind.append(kind)
-        return len(self.mesh) - 1
-
-    def copy(self) -> Instances:
-        """Return a collection that can grow without changing this one."""
-        return Instances(
-            list(self.meshes), list(self.mesh), list(self.place), list(self.tint), list(self.kind)
-        )
 
 
 @dataclass(frozen=True)
@@ -192,9 +132,7 @@ class Scene:
         x /= np.linalg.norm(x)
         axes = np.stack([x, np.cross(z, x), z])
         side = (-self.half_m, self.half_m)
-        box = np.array(
-            [[n, e, d] for n in side for e in side for d in (-_HIGHEST_M, _DEEPEST_M)]
-        )
+        box = np.array([[n, e, d] for n in side for e in side for d in (-_HIGHEST_M, _DEEPEST_M)])
         reach = box @ axes[:2].T
         low, high = reach.min(axis=0), reach.max(axis=0)
         scale = (size - 1) / (high - low)
@@ -204,7 +142,9 @@ class Scene:
         frame[2, :3] = z
         return frame
 
-    def depth_map(self, frame: Array, columns: int, rows: int, kinds: ArrayLike | None = None) -> Any:
+    def depth_map(
+        self, frame: Array, columns: int, rows: int, kinds: ArrayLike | None = None
+    ) -> Any:
         """Draw an orthographic depth map.
 
         Args:
@@ -221,7 +161,7 @@ class Scene:
         for mesh in range(len(self._count)):
             which = np.flatnonzero((self._mesh == mesh) & wanted)
             if which.size:
-                raster.draw_depth(
+                depth_map.draw_depth(
                     self._patches,
                     int(self._first[mesh]),
                     int(self._count[mesh]),
@@ -335,13 +275,19 @@ class Scene:
     ) -> NDArray[np.float32]:
         """Shade a key buffer.
 
+        Args:
+            camera: Its lens.
+            world_from_camera: Shape (4, 4), its pose.
+            rays: From `ray_table`.
+            keys: From `keys`.
+
         Returns:
             Shape (H, W, 4), float32: linear R, G, B and surface temperature [deg C].
         """
         self.prepare()
         pose = np.asarray(world_from_camera, dtype=np.float64)
-        camera_from_world = np.linalg.inv(pose)
-        moved = _compose(camera_from_world[:3], self._place).astype(np.float32)
+        inverse = np.asarray(np.linalg.inv(pose), dtype=np.float64)
+        moved = _compose(inverse[:3], self._place).astype(np.float32)
         ground = shade.Ground()
         ground.texel, ground.size = self.ground.texel_m, len(self.ground.colour)
         ground.north0 = self.ground.half_m - 0.5 * self.ground.texel_m
@@ -374,34 +320,8 @@ class Scene:
             ],
             out,
         )
-        return np.asarray(out.numpy()).reshape(camera.height, camera.width, 4)
-
-
-def instance_numbers(keys: Any, camera: Camera) -> NDArray[np.int32]:
-    """Return the instance each pixel shows, shape (H, W), int32; -1 for none."""
-    key = keys.numpy().reshape(camera.height, camera.width)
-    number = (key & np.uint64(0xFFFFFFFF)) >> np.uint64(raster.PATCH_BITS)
-    return np.asarray(np.where(key == raster.EMPTY, -1, number.astype(np.int64)), dtype=np.int32)
-
-
-def depths(keys: Any, camera: Camera) -> NDArray[np.float32]:
-    """Return the depth of each pixel along the optical axis, shape (H, W) [m]; NaN for none."""
-    key = keys.numpy().reshape(camera.height, camera.width)
-    depth = (key >> np.uint64(32)).astype(np.uint32).view(np.float32)
-    return np.asarray(np.where(key == raster.EMPTY, np.nan, depth), dtype=np.float32)
-
-
-def ray_table(camera: Camera, device: str = "cpu") -> Any:
-    """Return the rays through all pixels for `Scene.keys`: wp.array of vec2, shape (H W,).
-
-    Raises:
-        ValueError: If the lens model gives some pixel no ray.
-    """
-    columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
-    rays = camera.back_project(np.stack([columns, rows], axis=-1))[..., :2]
-    if not np.isfinite(rays).all():
-        raise ValueError("the distortion of the camera leaves pixels without a ray")
-    return wp.array(rays.reshape(-1, 2).astype(np.float32), dtype=wp.vec2, device=device)
+        light: NDArray[np.float32] = out.numpy()  # type: ignore[no-untyped-call]
+        return light.reshape(camera.height, camera.width, 4)
 
 
 def _border(camera: Camera) -> Array:
@@ -416,11 +336,11 @@ def _border(camera: Camera) -> Array:
             np.stack([np.full(33, x[-1]), y], 1),
         ]
     )
-    return np.asarray(camera.back_project(pixels)[:, :2].T)
+    return camera.back_project(pixels)[:, :2].T.copy()
 
 
 def _compose(outer: Array, inner: Array) -> Array:
     """Return outer (3, 4) after each inner (N, 3, 4)."""
-    result = np.einsum("ij,njk->nik", outer[:, :3], inner)
+    result = np.asarray(np.einsum("ij,njk->nik", outer[:, :3], inner), dtype=np.float64)
     result[:, :, 3] += outer[:, 3]
     return result

@@ -10,9 +10,7 @@ from hsvaos.simulate.mission import Flown
 from hsvaos.simulate.settings import SensorSettings
 
 
-def log_flight(
-    settings: SensorSettings, flown: Flown, seed: int, mounting: Mounting
-) -> SensorLog:
+def log_flight(settings: SensorSettings, flown: Flown, seed: int, mounting: Mounting) -> SensorLog:
     """Return what the sensors write down.
 
     Args:

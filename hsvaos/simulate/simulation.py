@@ -14,12 +14,13 @@ from hsvaos.kernels.device import resolve_device
 from hsvaos.nav import attitude
 from hsvaos.nav.geodesy import geodetic_from_ned
 from hsvaos.nav.log import Mounting, SensorLog
+from hsvaos.simulate.buffers import instance_numbers, ray_table
 from hsvaos.simulate.forest import Forest, grow_forest
 from hsvaos.simulate.mission import Flown, fly
 from hsvaos.simulate.occlusion import person_pixels
 from hsvaos.simulate.photo import expose, expose_thermal
 from hsvaos.simulate.placement import Cast, add_stakes, place_people
-from hsvaos.simulate.scene import Scene, instance_numbers, ray_table
+from hsvaos.simulate.scene import Scene
 from hsvaos.simulate.sensors import log_flight
 from hsvaos.simulate.settings import SimulationSettings
 
@@ -150,9 +151,7 @@ class Simulation:
         ends = camera_poses(self.flown, np.array([at - exposure / 2, at + exposure / 2]))
         middle = self.poses[index]
         ground = middle[:3, 3] + middle[:3, 2] * (self.settings.mission.height_m / middle[2, 2])
-        pixels = [
-            self.camera.project((ground - pose[:3, 3]) @ pose[:3, :3]) for pose in ends
-        ]
+        pixels = [self.camera.project((ground - pose[:3, 3]) @ pose[:3, :3]) for pose in ends]
         return np.asarray(pixels[1] - pixels[0])
 
     def names(self) -> list[str]:
@@ -166,7 +165,9 @@ class Simulation:
         tables: dict[str, dict[str, Any]] = {
             "imu": _columns(
                 "t_s,gx_rad_s,gy_rad_s,gz_rad_s,ax_m_s2,ay_m_s2,az_m_s2",
-                log.imu.t_s, log.imu.gyro, log.imu.accel,
+                log.imu.t_s,
+                log.imu.gyro,
+                log.imu.accel,
             ),
             "triggers": {"file": np.array(self.names()), "t_s": self.flown.triggers_s},
         }
@@ -174,7 +175,9 @@ class Simulation:
             place = geodetic_from_ned(log.gnss.position, ORIGIN)
             tables["gnss"] = _columns(
                 "t_s,lat_deg,lon_deg,alt_m,vn_m_s,ve_m_s,vd_m_s",
-                log.gnss.t_s, place, log.gnss.velocity,
+                log.gnss.t_s,
+                place,
+                log.gnss.velocity,
             )
         if log.baro is not None:
             tables["baro"] = _columns("t_s,height_m", log.baro.t_s, log.baro.height_m)

@@ -89,9 +89,7 @@ def _branched(
     for start, angle, reach in shoots:
         heading = np.array([np.cos(angle), np.sin(angle)])
         end = start + heading * reach
-        cv2.line(
-            canvas, start.astype(int).tolist(), end.astype(int).tolist(), (255, 120, 255), 5
-        )
+        cv2.line(canvas, start.astype(int).tolist(), end.astype(int).tolist(), (255, 120, 255), 5)
         for k in rng.permutation(leaves):
             t = (k + 0.8) / leaves
             side = 1.0 if k % 2 else -1.0
@@ -127,9 +125,7 @@ def _needles(canvas: Canvas, rng: np.random.Generator) -> None:
             for side in (-1.0, 1.0):
                 turn = angle + side * rng.uniform(0.5, 1.0)
                 start = base + along * t
-                end = start + reach * rng.uniform(0.7, 1.1) * np.array(
-                    [np.cos(turn), np.sin(turn)]
-                )
+                end = start + reach * rng.uniform(0.7, 1.1) * np.array([np.cos(turn), np.sin(turn)])
                 cv2.line(
                     canvas,
                     start.astype(int).tolist(),

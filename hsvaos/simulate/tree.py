@@ -90,9 +90,10 @@ def _branches(
 
 def _along(ends: Array, t: Array) -> Array:
     """Return points at share t (N, K) of two-piece branches (N, 2, 2, 3): (N, K, 3)."""
-    first = ends[:, None, 0, 0] + (ends[:, None, 0, 1] - ends[:, None, 0, 0]) * np.minimum(
-        2.0 * t, 1.0
-    )[..., None]
+    first = (
+        ends[:, None, 0, 0]
+        + (ends[:, None, 0, 1] - ends[:, None, 0, 0]) * np.minimum(2.0 * t, 1.0)[..., None]
+    )
     rest = (ends[:, None, 1, 1] - ends[:, None, 1, 0]) * np.maximum(2.0 * t - 1.0, 0.0)[..., None]
     return np.asarray(first + rest)
 
@@ -147,9 +148,7 @@ def broadleaf(
     sway = np.cumsum(rng.normal(0.0, 0.10, (7, 2)), axis=0)
     trunk = np.concatenate([sway - sway[0], levels[:, None]], axis=1)
     thick = 0.016 * height * np.linspace(1.15, 0.2, 7)
-    pieces = [
-        tube(np.stack([trunk[:-1], trunk[1:]], 1), np.stack([thick[:-1], thick[1:]], 1), 8)
-    ]
+    pieces = [tube(np.stack([trunk[:-1], trunk[1:]], 1), np.stack([thick[:-1], thick[1:]], 1), 8)]
     # Primaries: up the trunk by the golden angle; they end on an ellipsoid.
     n = shape.primaries
     share = (np.arange(n) + rng.uniform(0.2, 0.8, n)) / n
@@ -171,7 +170,11 @@ def broadleaf(
     start, direction = _children(rng, ends2, shape.tertiaries, 0.8, 0.2)
     length3 = np.repeat(length2, shape.tertiaries) * rng.uniform(0.40, 0.65, len(start))
     ends3, radii3 = _branches(start, direction, length3, 0.02 * length3, rng)
-    for ends, radii, sides in ((ends1, radii1, 5), (ends2, radii2, 3), (ends3[:, :1], radii3[:, :1], 2)):
+    for ends, radii, sides in (
+        (ends1, radii1, 5),
+        (ends2, radii2, 3),
+        (ends3[:, :1], radii3[:, :1], 2),
+    ):
         pieces.append(tube(ends.reshape(-1, 2, 3), radii.reshape(-1, 2), sides))
     corner, a, b = (np.concatenate(part) for part in zip(*pieces, strict=True))
     bark = np.array(shape.bark) * np.exp(0.15 * rng.standard_normal((len(corner), 1)))
@@ -185,16 +188,16 @@ def broadleaf(
     axis = _unit(ends3[:, 1, 1] - ends3[:, 0, 0]).repeat(per, axis=0)
     axis = _unit(axis + 0.7 * rng.standard_normal(axis.shape) - (0.0, 0.0, 0.25))
     out = _unit(foot - (0.0, 0.0, base + 0.35 * (height - base)))
-    normal = _unit(0.9 * np.array([0.0, 0.0, 1.0]) + 0.5 * out + 0.45 * rng.standard_normal(foot.shape))
+    normal = _unit(
+        0.9 * np.array([0.0, 0.0, 1.0]) + 0.5 * out + 0.45 * rng.standard_normal(foot.shape)
+    )
     size = shape.card_m * rng.uniform(0.75, 1.25, len(foot))
     if leafy:
         colour = _leaf_colours(rng, palette, twigs, per)
         leaves = cards(rng, foot, axis, normal, size, size, colour, shape.tile, Material.LEAF)
     else:
         colour = np.array(shape.bark) * np.exp(0.2 * rng.standard_normal((len(foot), 1)))
-        leaves = cards(
-            rng, foot, axis, normal, 1.5 * size, size, colour, Tile.TWIGS, Material.BARK
-        )
+        leaves = cards(rng, foot, axis, normal, 1.5 * size, size, colour, Tile.TWIGS, Material.BARK)
     return Mesh.join([wood, leaves]).moved(_NED)
 
 
@@ -217,9 +220,7 @@ def conifer(seed: list[int], shape: TreeShape, palette: Array, card_count: int) 
     levels = np.linspace(-0.3, height, 7)
     trunk = np.stack([np.zeros(7), np.zeros(7), levels], axis=1)
     thick = 0.013 * height * np.linspace(1.1, 0.06, 7)
-    pieces = [
-        tube(np.stack([trunk[:-1], trunk[1:]], 1), np.stack([thick[:-1], thick[1:]], 1), 7)
-    ]
+    pieces = [tube(np.stack([trunk[:-1], trunk[1:]], 1), np.stack([thick[:-1], thick[1:]], 1), 7)]
     whorls = 26
     share = np.repeat(np.linspace(0.0, 0.97, whorls), 7) + rng.normal(0.0, 0.008, whorls * 7)
     share = np.clip(share, 0.0, 0.985)
@@ -241,18 +242,24 @@ def conifer(seed: list[int], shape: TreeShape, palette: Array, card_count: int) 
     bark = np.array(shape.bark) * np.exp(0.15 * rng.standard_normal((len(corner), 1)))
     wood = Mesh.build(corner, a, b, Material.BARK, bark)
     weight = length / length.sum()
-    owner = np.repeat(np.arange(length.size), np.maximum(np.rint(weight * card_count), 2).astype(int))
+    owner = np.repeat(
+        np.arange(length.size), np.maximum(np.rint(weight * card_count), 2).astype(int)
+    )
     t = rng.uniform(0.12, 1.0, owner.size) ** 0.8
     foot = start[owner] + direction[owner] * (length[owner] * t)[:, None]
     side = np.cross(direction[owner], [0.0, 0.0, 1.0]) * rng.choice([-1.0, 1.0], (owner.size, 1))
     axis = _unit(
-        direction[owner] + 0.8 * side * (1.0 - 0.6 * t[:, None])
-        - (0.0, 0.0, 0.22) + 0.12 * rng.standard_normal(foot.shape)
+        direction[owner]
+        + 0.8 * side * (1.0 - 0.6 * t[:, None])
+        - (0.0, 0.0, 0.22)
+        + 0.12 * rng.standard_normal(foot.shape)
     )
     normal = _unit(np.array([0.0, 0.0, 1.0]) + 0.22 * rng.standard_normal(foot.shape))
     size = shape.card_m * rng.uniform(0.75, 1.3, owner.size) * (0.65 + 0.5 * (1.0 - share[owner]))
     colour = _leaf_colours(rng, palette, owner.size, 1)
     # Young growth at the tips is paler.
     colour = np.clip(colour * (0.8 + 0.45 * t[:, None]), 0.0, 1.0)
-    sprays = cards(rng, foot, axis, normal, size, 0.75 * size, colour, Tile.NEEDLES, Material.NEEDLE)
+    sprays = cards(
+        rng, foot, axis, normal, size, 0.75 * size, colour, Tile.NEEDLES, Material.NEEDLE
+    )
     return Mesh.join([wood, sprays]).moved(_NED)

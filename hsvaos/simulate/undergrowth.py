@@ -46,9 +46,7 @@ def bush(seed: list[int], palette: Array, *, leafy: bool) -> Mesh:
     if leafy:
         leaves = cards(rng, foot, axis, normal, size, size, colour, Tile.SMALL, Material.LEAF)
     else:
-        leaves = cards(
-            rng, foot, axis, normal, 1.7 * size, size, colour, Tile.TWIGS, Material.BARK
-        )
+        leaves = cards(rng, foot, axis, normal, 1.7 * size, size, colour, Tile.TWIGS, Material.BARK)
     return Mesh.join([wood, leaves]).moved(_NED)
 
 
@@ -61,20 +59,16 @@ def fern(seed: list[int], palette: Array) -> Mesh:
     direction = np.stack(
         [np.cos(turn) * np.cos(rise), np.sin(turn) * np.cos(rise), np.sin(rise)], axis=1
     )
-    foot = np.zeros((fronds, 3)) + (0.0, 0.0, 0.08)
+    foot = np.tile([[0.0, 0.0, 0.08]], (fronds, 1))
     length = rng.uniform(0.5, 0.85, fronds)
     colour = palette[rng.integers(0, len(palette), fronds)]
     colour = np.clip(colour * np.exp(0.2 * rng.standard_normal((fronds, 1))), 0.0, 1.0)
     up = np.tile([[0.0, 0.0, 1.0]], (fronds, 1))
-    mesh = cards(
-        rng, foot, direction, up, length, 0.42 * length, colour, Tile.FERN, Material.GRASS
-    )
+    mesh = cards(rng, foot, direction, up, length, 0.42 * length, colour, Tile.FERN, Material.GRASS)
     return mesh.moved(_NED)
 
 
-def grass_tile(
-    seed: list[int], grass: Array, litter: Array, tufts: int, leaves: int
-) -> Mesh:
+def grass_tile(seed: list[int], grass: Array, litter: Array, tufts: int, leaves: int) -> Mesh:
     """Fill a square of GRASS_TILE_M with tufts of grass and fallen leaves, NED axes.
 
     Args:
@@ -97,9 +91,7 @@ def grass_tile(
         colour = grass[rng.integers(0, len(grass), tufts)]
         colour = np.clip(colour * np.exp(0.22 * rng.standard_normal((tufts, 1))), 0.0, 1.0)
         parts.append(
-            cards(
-                rng, foot, axis, normal, size, 1.3 * size, colour, Tile.GRASS, Material.GRASS
-            )
+            cards(rng, foot, axis, normal, size, 1.3 * size, colour, Tile.GRASS, Material.GRASS)
         )
     if leaves:
         foot = np.concatenate(
@@ -112,9 +104,7 @@ def grass_tile(
         size = rng.uniform(0.22, 0.40, leaves)
         colour = litter[rng.integers(0, len(litter), leaves)]
         colour = np.clip(colour * np.exp(0.2 * rng.standard_normal((leaves, 1))), 0.0, 1.0)
-        parts.append(
-            cards(rng, foot, axis, normal, size, size, colour, Tile.FALLEN, Material.WOOD)
-        )
+        parts.append(cards(rng, foot, axis, normal, size, size, colour, Tile.FALLEN, Material.WOOD))
     return Mesh.join(parts).moved(_NED)
 
 

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from hsvaos import reference_raster
 from hsvaos.camera import Camera
 from hsvaos.kernels import raster
+from hsvaos.simulate.buffers import ray_table
 from hsvaos.simulate.mesh import Material, Mesh
-from hsvaos.simulate.scene import ray_table
 from hsvaos.simulate.textures import Tile, draw_atlas
 
 ATLAS = draw_atlas(3)
@@ -27,9 +27,7 @@ def random_mesh(rng: np.random.Generator, count: int) -> Mesh:
         sides = rng.normal(0.0, 1.2, (2, n, 3))
         tile = rng.choice([raster.OPAQUE, int(Tile.OVATE), int(Tile.NEEDLES)], n)
         parts.append(
-            Mesh.build(
-                corner, *sides, Material.LEAF, (0.1, 0.2, 0.1), tile, triangle=triangle
-            )
+            Mesh.build(corner, *sides, Material.LEAF, (0.1, 0.2, 0.1), tile, triangle=triangle)
         )
     return Mesh.join(parts)
 
@@ -44,15 +42,21 @@ def patches_of(mesh: Mesh) -> object:
     return patches
 
 
-def drawn(
-    mesh: Mesh, places: np.ndarray, bands: list[tuple[int, int]] | None = None
-) -> np.ndarray:
+def drawn(mesh: Mesh, places: np.ndarray, bands: list[tuple[int, int]] | None = None) -> np.ndarray:
     keys = wp.full(CAMERA.width * CAMERA.height, int(raster.EMPTY), dtype=wp.uint64, device="cpu")
     alpha = wp.array(np.ascontiguousarray(ATLAS[:, 0]), dtype=wp.uint8, device="cpu")
     for band in bands or [(0, CAMERA.height)]:
         raster.draw(
-            patches_of(mesh), 0, len(mesh), places, np.arange(len(places), dtype=np.int32),
-            raster.lens_of(CAMERA), ray_table(CAMERA), alpha, keys, band,
+            patches_of(mesh),
+            0,
+            len(mesh),
+            places,
+            np.arange(len(places), dtype=np.int32),
+            raster.lens_of(CAMERA),
+            ray_table(CAMERA),
+            alpha,
+            keys,
+            band,
         )
     return keys.numpy().reshape(CAMERA.height, CAMERA.width)
 
@@ -106,7 +110,9 @@ def test_neighbouring_triangles_leave_no_crack() -> None:
         np.concatenate([p00.reshape(flat), p11.reshape(flat)]),
         np.concatenate([(p01 - p00).reshape(flat), (p10 - p11).reshape(flat)]),
         np.concatenate([(p10 - p00).reshape(flat), (p01 - p11).reshape(flat)]),
-        Material.GROUND, (0.1, 0.1, 0.1), triangle=True,
+        Material.GROUND,
+        (0.1, 0.1, 0.1),
+        triangle=True,
     )
     keys = drawn(mesh, np.eye(4)[None, :3])
     assert (keys != raster.EMPTY).all()
@@ -118,9 +124,15 @@ def test_too_many_instances_are_refused(count: int) -> None:
     keys = wp.zeros(CAMERA.width * CAMERA.height, dtype=wp.uint64, device="cpu")
     with pytest.raises(ValueError, match="instances at most"):
         raster.draw(
-            patches_of(mesh), 0, len(mesh), np.zeros((1, 3, 4)), np.array([count], dtype=np.int32),
-            raster.lens_of(CAMERA), ray_table(CAMERA),
-            wp.zeros(1, dtype=wp.uint8, device="cpu"), keys,
+            patches_of(mesh),
+            0,
+            len(mesh),
+            np.zeros((1, 3, 4)),
+            np.array([count], dtype=np.int32),
+            raster.lens_of(CAMERA),
+            ray_table(CAMERA),
+            wp.zeros(1, dtype=wp.uint8, device="cpu"),
+            keys,
         )
 
 
@@ -129,7 +141,13 @@ def test_too_many_patches_are_refused() -> None:
     keys = wp.zeros(CAMERA.width * CAMERA.height, dtype=wp.uint64, device="cpu")
     with pytest.raises(ValueError, match="patches at most"):
         raster.draw(
-            patches_of(mesh), 0, raster.MAX_PATCHES + 1, np.zeros((1, 3, 4)),
-            np.zeros(1, dtype=np.int32), raster.lens_of(CAMERA), ray_table(CAMERA),
-            wp.zeros(1, dtype=wp.uint8, device="cpu"), keys,
+            patches_of(mesh),
+            0,
+            raster.MAX_PATCHES + 1,
+            np.zeros((1, 3, 4)),
+            np.zeros(1, dtype=np.int32),
+            raster.lens_of(CAMERA),
+            ray_table(CAMERA),
+            wp.zeros(1, dtype=wp.uint8, device="cpu"),
+            keys,
         )
