@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 
 _SPACING_M = 0.5
 _TILE_CELLS = 32
+_BAND_ROWS = 256
 
 
 def noise(rng: np.random.Generator, size: int, cells: int) -> NDArray[np.float32]:
@@ -79,25 +80,27 @@ class Ground:
         rng = np.random.default_rng(seed)
         size = len(self.colour)
         axis = self.half_m - (np.arange(size, dtype=np.float32) + 0.5) * self.texel_m
-        inside = np.full((size, size), -1e3, dtype=np.float32)
-        for north, east, radius in circles:
-            away = np.hypot((axis - north)[:, None], (-axis - east)[None, :])
-            inside = np.maximum(inside, np.float32(radius) - away.astype(np.float32))
         rough = noise(rng, size, max(int(2.0 * self.half_m / 1.7), 1))
         fine = noise(rng, size, max(int(2.0 * self.half_m / 0.25), 1))
-        cover = np.clip(0.45 + 0.25 * inside + 0.35 * rough + 0.22 * fine, 0.0, 0.93)
-        cover[inside < -6.0] = 0.0
-        patch = noise(rng, size, max(int(2.0 * self.half_m / 4.0), 1)) + 0.5 * fine
-        share = np.clip(0.5 + 0.4 * patch, 0.0, 1.0)[..., None]
-        blade = np.exp(0.22 * fine + 0.22 * rng.standard_normal((size, size), dtype=np.float32))[
-            ..., None
-        ]
+        patch = noise(rng, size, max(int(2.0 * self.half_m / 4.0), 1))
         first, second = colours[0].astype(np.float32), colours[-1].astype(np.float32)
-        grass = (first * share + second * (1.0 - share)) * blade * np.float32(0.62)
-        old = (self.colour.astype(np.float32) / 255.0) ** 2
-        mixed = old * (1.0 - cover[..., None]) + grass * cover[..., None]
-        root = np.sqrt(np.clip(mixed, 0.0, 1.0)) * 255.0
-        return replace(self, colour=np.asarray(np.rint(root), dtype=np.uint8))
+        painted = self.colour.copy()
+        for rows in _bands(size):
+            inside = np.full((rows.stop - rows.start, size), -1e3, dtype=np.float32)
+            for north, east, radius in circles:
+                away = np.hypot((axis[rows] - north)[:, None], (-axis - east)[None, :])
+                inside = np.maximum(inside, np.float32(radius) - away.astype(np.float32))
+            if float(inside.max()) < -6.0:
+                continue
+            cover = 0.45 + 0.25 * inside + 0.35 * rough[rows] + 0.22 * fine[rows]
+            cover = np.where(inside < -6.0, 0.0, np.clip(cover, 0.0, 0.93))[..., None]
+            share = np.clip(0.5 + 0.4 * (patch[rows] + 0.5 * fine[rows]), 0.0, 1.0)[..., None]
+            speckle = rng.standard_normal(inside.shape, dtype=np.float32)
+            blade = np.exp(0.22 * fine[rows] + 0.22 * speckle)[..., None]
+            grass = (first * share + second * (1.0 - share)) * blade * np.float32(0.62)
+            old = (self.colour[rows].astype(np.float32) / 255.0) ** 2
+            painted[rows] = _encode(old * (1.0 - cover) + grass * cover)
+        return replace(self, colour=painted)
 
     def tiles(self) -> list[tuple[Mesh, Array]]:
         """Return the meshes of square parts of the ground, each with its place, shape (3,)."""
@@ -153,31 +156,49 @@ def make_ground(
 def _paint(rng: np.random.Generator, season: Season, size: int, half_m: float) -> NDArray[np.uint8]:
     """Paint litter, soil, moss and snow; shape (size, size, 3), square roots of linear RGB."""
     across = 2.0 * half_m
-    scores = []
-    for share, _ in season.litter:
-        field = 0.8 * noise(rng, size, int(across / 7.0))
-        field += 0.7 * noise(rng, size, int(across / 1.3))
+    # What lies on top wins, piece by piece; row bands keep the working memory small.
+    best = np.full((size, size), -np.inf, dtype=np.float32)
+    winner = np.zeros((size, size), dtype=np.uint8)
+    for number, (share, _) in enumerate(season.litter):
+        field = np.float32(0.8) * noise(rng, size, int(across / 7.0))
+        field += np.float32(0.7) * noise(rng, size, int(across / 1.3))
         # Single leaves: grains of about 7 cm.
-        field += 1.2 * noise(rng, size, int(across / 0.07))
-        scores.append(field + 1.6 * np.float32(np.log(share)))
-    winner = np.argmax(scores, axis=0)
+        field += np.float32(1.2) * noise(rng, size, int(across / 0.07))
+        field += np.float32(1.6 * np.log(share))
+        winner[field > best] = number
+        np.maximum(best, field, out=best)
+    del best, field
     colours = np.array([rgb for _, rgb in season.litter], dtype=np.float32)
-    picture = colours[winner]
-    grain = np.exp(
-        0.22 * noise(rng, size, int(across / 0.07))
-        + 0.20 * rng.standard_normal((size, size), dtype=np.float32)
-        + 0.18 * noise(rng, size, int(across / 2.2))
-    )
-    picture *= grain[..., None]
-    if season.ground_snow > 0.0:
-        depth = noise(rng, size, int(across / 3.0)) + 0.6 * noise(rng, size, int(across / 0.4))
-        bare = np.float32(np.sqrt(1.36) * _normal_quantile(season.ground_snow))
-        cover = np.clip((bare - depth) * 2.2 + 0.5, 0.0, 1.0)[..., None]
-        drift = np.exp(0.035 * noise(rng, size, int(across / 0.5)))[..., None]
-        drift *= np.exp(0.015 * rng.standard_normal((size, size, 1), dtype=np.float32))
-        white = np.array([0.78, 0.815, 0.87], dtype=np.float32) * drift
-        picture = picture * (1.0 - cover) + white * cover
-    root = np.sqrt(np.clip(picture, 0.0, 1.0)) * 255.0
+    leaves = noise(rng, size, int(across / 0.07))
+    patches = noise(rng, size, int(across / 2.2))
+    snowed = season.ground_snow > 0.0
+    if snowed:
+        depth = noise(rng, size, int(across / 3.0))
+        depth += np.float32(0.6) * noise(rng, size, int(across / 0.4))
+        drift = noise(rng, size, int(across / 0.5))
+    bare = np.float32(np.sqrt(1.36) * _normal_quantile(season.ground_snow))
+    white = np.array([0.78, 0.815, 0.87], dtype=np.float32)
+    painted = np.empty((size, size, 3), dtype=np.uint8)
+    for rows in _bands(size):
+        speckle = rng.standard_normal(winner[rows].shape, dtype=np.float32)
+        grain = np.exp(0.22 * leaves[rows] + 0.20 * speckle + 0.18 * patches[rows])
+        picture = colours[winner[rows]] * grain[..., None]
+        if snowed:
+            cover = np.clip((bare - depth[rows]) * 2.2 + 0.5, 0.0, 1.0)[..., None]
+            speckle = rng.standard_normal(winner[rows].shape, dtype=np.float32)
+            level = np.exp(0.035 * drift[rows] + 0.015 * speckle)[..., None]
+            picture = picture * (1.0 - cover) + white * level * cover
+        painted[rows] = _encode(picture)
+    return painted
+
+
+def _bands(size: int) -> list[slice]:
+    return [slice(k, min(k + _BAND_ROWS, size)) for k in range(0, size, _BAND_ROWS)]
+
+
+def _encode(linear: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Return square roots of linear colours as 8 bits."""
+    root = np.sqrt(np.clip(linear, 0.0, 1.0)) * np.float32(255.0)
     return np.asarray(np.rint(root), dtype=np.uint8)
 
 

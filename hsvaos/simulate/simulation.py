@@ -195,7 +195,13 @@ def camera_poses(flown: Flown, times_s: Array | None = None) -> Array:
     return poses
 
 
-_DIGITS = {"lat_deg": 9, "lon_deg": 9}
+_DIGITS = {
+    "lat_deg": 9, "lon_deg": 9, "alt_m": 3, "height_m": 3,
+    "gx_rad_s": 5, "gy_rad_s": 5, "gz_rad_s": 5,
+    "ax_m_s2": 4, "ay_m_s2": 4, "az_m_s2": 4,
+    "vn_m_s": 3, "ve_m_s": 3, "vd_m_s": 3,
+}  # fmt: skip
+"""Decimals far below the noise of the sensors; they keep the files small."""
 
 
 def _columns(names: str, *parts: Array) -> dict[str, Array]:
