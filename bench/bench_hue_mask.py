@@ -25,7 +25,7 @@ def hue_cut() -> Contenders:
 
     def opencv() -> None:  # 8 bit, unweighted, linear: less work than ours
         hue = cv2.cvtColor(images[0], cv2.COLOR_RGB2HSV)[..., 0]
-        counts = cv2.calcHist([hue], [0], None, [180], [0, 180])[:, 0]
+        counts = cv2.calcHist([hue], [0], None, [180], [0, 180]).ravel()
         levels = np.arange(180)
         mean = (counts * levels).sum() / counts.sum()
         sigma = np.sqrt((counts * (levels - mean) ** 2).sum() / counts.sum())

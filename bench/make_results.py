@@ -14,6 +14,7 @@ from pathlib import Path
 
 from bench.conftest import bench_files
 from bench.harness import race
+from hsvaos import __version__
 from hsvaos.kernels.device import threads
 
 RESULTS = Path(__file__).with_name("RESULTS.md")
@@ -34,8 +35,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=7)
     rounds = parser.parse_args().rounds
-    names = ("hsvaos", "warp-lang", "numpy", "opencv-python-headless")
-    versions = ", ".join(f"{name} {version(name)}" for name in names)
+    names = ("warp-lang", "numpy", "opencv-python-headless")
+    versions = ", ".join([f"hsvaos {__version__}", *(f"{name} {version(name)}" for name in names)])
     lines = [
         "# Measured speed",
         "",
