@@ -94,7 +94,10 @@ def hue_statistics(
     if chroma < MIN_CHROMA:
         reason = f"mean chroma {chroma:.3f} is below {MIN_CHROMA} (grey images)"
     elif _takes_all(mean, sigmas * sigma, statistics):
-        reason = f"hue is spread over the circle (sigma {sigma:.0f} deg)"
+        reason = (
+            f"hue is spread too far (sigma {sigma:.0f} deg): a cut of {sigmas:g} sigma would take "
+            f"most of the colour circle"
+        )
     return HueStatistics(mean, sigma, chroma, statistics, sigmas, not reason, reason, within)
 
 

@@ -97,8 +97,14 @@ def load_photos(
         )
     if not good:
         raise FlightError(f"{flight.source}: no photo can be used: {faults[0][1]}")
+    valid = _combined(masks, len(good))
+    if valid is not None and not valid.any():
+        raise FlightError(
+            f"{flight.mask or flight.source}: the user masks ignore every pixel of every photo "
+            f"(expected 0 = ignore, 255 = use)"
+        )
     kept = replace(flight.subset(good), camera=camera.scaled(width, height))
-    return Photos(kept, images[: len(good)], _combined(masks, len(good)), tuple(notes))
+    return Photos(kept, images[: len(good)], valid, tuple(notes))
 
 
 def _resized(image: NDArray[Any], width: int, height: int) -> NDArray[Any]:

@@ -122,8 +122,9 @@ class Integrator:
         images: Shape (N, H, W, 3) RGB or (N, H, W) grey; uint8, uint16 or float32; NumPy, DLPack
             or `__cuda_array_interface__`. Nothing is copied that already lies on the device.
         world_from_camera: Shape (N, 4, 4), pose of each photo, world NED [m].
-        weights: Shape (N, H, W), or (H, W) for all photos; uint8 (255 = weight 1), bool or float32
-            (not negative): how much each pixel counts; None for 1 everywhere.
+        weights: Shape (N, H, W), or (H, W) for all photos, how much each pixel counts: uint8 (255 =
+            weight 1; or a mask of only 0 and 1), bool or float32 (not negative); None for 1
+            everywhere.
         device: "cpu", "cuda:0", ...; by default where the images lie.
         gains: Shape (N, 3), factors on R, G and B of each photo (the first one on grey); see
             `kernels.levels`; None for the photos as they are.
@@ -176,8 +177,9 @@ class Integrator:
             raise ValueError(f"weights must have shape {(stack.count, *size)}, got {shape}")
         if array.dtype not in (wp.uint8, wp.float32):
             raise TypeError(f"weights must be uint8 or float32, got {array.dtype.__name__}")
-        unit = 1.0 / 255.0 if array.dtype is wp.uint8 else 1.0
-        return pixel_view(array, array.dtype, (array.size // stack.size, stack.size)), unit
+        rows = pixel_view(array, array.dtype, (array.size // stack.size, stack.size))
+        bytes_of_weight = array.dtype is wp.uint8 and not _is_binary(rows)
+        return rows, 1.0 / 255.0 if bytes_of_weight else 1.0
 
     def __len__(self) -> int:
         return self._stack.count
@@ -312,3 +314,8 @@ class Integrator:
         away = self.world_from_camera[:, :2, 3] - view.world_from_camera[:2, 3]
         near = np.hypot(away[:, 0], away[:, 1]) <= aperture_m
         return order[near[order]].astype(np.int32), _NO_LIMIT
+
+
+def _is_binary(weights: Any) -> bool:
+    """Whether uint8 weights are 0 and 1 only; the first photo of a mask of 0 and 255 decides."""
+    return all(int(weights[i].numpy().max()) <= 1 for i in range(weights.shape[0]))

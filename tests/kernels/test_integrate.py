@@ -169,7 +169,7 @@ def test_weights_bool_and_uint8_have_unit_scale(device: str) -> None:
     camera = Camera.from_fov(12, 10, 80)
     poses = [looking_down(0, 0, 20)] * 2
     keep = np.ones((2, 10, 12), bool)
-    for weights in (keep, keep * np.uint8(255), keep.astype(np.float32)):
+    for weights in (keep, keep * np.uint8(255), keep * np.uint8(1), keep.astype(np.float32)):
         integrator = Integrator(camera, images, poses, weights, device=device)
         _, footprint = integrator.integrate(VirtualCamera(camera, poses[0]), FocalPlane())
         np.testing.assert_allclose(footprint, 2.0, rtol=1e-4)

@@ -1,0 +1,25 @@
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hsvaos.kernels.device import quiet_start
+
+quiet_start()
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """One benchmark a contender, for every race that a bench file defines."""
+    if "contender" in metafunc.fixturenames:
+        races = metafunc.module.RACES
+        pairs = [(race, name) for race in races for name in races[race]()]
+        metafunc.parametrize("contender", pairs, ids=[f"{r} | {n}" for r, n in pairs])
+
+
+def bench_files() -> list[Any]:
+    """Every module of this folder that defines races."""
+    names = sorted(path.stem for path in Path(__file__).parent.glob("bench_*.py"))
+    return [importlib.import_module(f"bench.{name}") for name in names]
