@@ -9,7 +9,6 @@ linearising about a start that was degrees off.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -103,7 +102,7 @@ def first_state(log: SensorLog, ekf: ErrorStateEkf) -> InitialState:
         model = ekf.gnss
         position_std = np.array([3.0, 3.0, 5.0])
         if model is not None:
-            position_std = np.hypot(model.position_std, model.wander_std)[[0, 0, 1]]
+            position_std = np.hypot(model.position_axes, model.wander_axes)
     still = _still_until(log, t)
     imu, g = log.imu, gravity_of(log)
     notes: tuple[str, ...]
@@ -212,12 +211,11 @@ def _heading(
     return guess.replace(notes=(*start.notes, f"start: heading from {source}"))
 
 
-def scout(ekf: ErrorStateEkf) -> ErrorStateEkf:
-    """Return a fast filter of the same models for comparing hypotheses: GNSS only, no gates."""
+def scout(ekf: ErrorStateEkf, gate: float = 0.0) -> ErrorStateEkf:
+    """Return a fast filter of the same models for comparing hypotheses: GNSS only."""
     from hsvaos.nav.error_state_ekf import ErrorStateEkf
 
-    gnss = None if ekf.gnss is None else replace(ekf.gnss, wander_std=(0.0, 0.0))
-    return ErrorStateEkf(ekf.imu, gnss, None, gate=0.0, max_step_s=0.25)
+    return ErrorStateEkf(ekf.imu, ekf.gnss, None, gate=gate, max_step_s=0.25)
 
 
 def score(states: States, after_s: float = -np.inf) -> float:
