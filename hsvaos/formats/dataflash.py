@@ -1,9 +1,9 @@
 """ArduPilot DataFlash logs (.bin), read with pymavlink.
 
-Used: IMU (rate rad/s, specific force m/s^2, body FRD), GPS (degrees, metres above sea level, ground
-speed and course, VZ down m/s), GPA (the receiver's own accuracy), BARO (metres above the ground),
-MAG, CAM. Times since boot: TimeUS in microseconds, in logs before 2015 TimeMS in milliseconds, where
-that of GPS is the time of week and its column T the time since boot.
+Used: IMU (rate rad/s, specific force m/s^2, body FRD), GPS (degrees, metres above sea level,
+ground speed and course, VZ down m/s), GPA (the receiver's own accuracy), BARO (metres above the
+ground), MAG, CAM. Times since boot: TimeUS in microseconds; in old logs TimeMS in milliseconds,
+where that of GPS is the time of week and its column T the time since boot.
 """
 
 from __future__ import annotations
@@ -41,7 +41,8 @@ def read_dataflash(path: str | Path) -> SensorLog:
     if not rows["IMU"]:
         raise FlightError(f"{path}: the log has no IMU message")
     start = _time(rows["IMU"][0])
-    missing, notes = [], []
+    missing: list[str] = []
+    notes: list[str] = []
     gnss, origin = _gnss(rows, start, notes)
     if not rows["GPS"]:
         missing.append("GPS (GNSS)")

@@ -66,7 +66,8 @@ def read_ulog(path: str | Path) -> SensorLog:
         raise FlightError(f"{path}: the log has no sensor_combined message (IMU)")
     imu = tables["sensor_combined"]
     start = int(imu["timestamp"][0])
-    missing, notes = [], []
+    missing: list[str] = []
+    notes: list[str] = []
     gnss_table = tables.get("vehicle_gps_position", tables.get("sensor_gps"))
     gnss, origin = None, None
     if gnss_table is None:

@@ -30,6 +30,7 @@ _WINDOW_S = 60.0
 _LONGEST_S = 240.0
 _MOVING_M_S = 1.5
 _BANK = 8
+_WORST = 100.0
 _STILL_RATE = 0.03  # [rad/s], spread of the gyroscope that rotors or an engine still make
 _STILL_FORCE = 0.6  # [m/s^2]
 
@@ -46,7 +47,7 @@ def align(log: SensorLog, ekf: ErrorStateEkf, *, rounds: int = 3) -> InitialStat
         ValueError: If the log has no fix.
     """
     start = first_state(log, ekf)
-    stop = _window_end(log, start.t_s)
+    stop = window_end(log, start.t_s)
     start = _heading(log, ekf, start, stop)
     return refine(log, ekf, start, stop_s=min(stop, start.t_s + _LONGEST_S), rounds=rounds)
 
@@ -168,7 +169,7 @@ def _still_until(log: SensorLog, start_s: float) -> float | None:
     return still if still is not None and still - imu.t_s[0] >= 1.0 else None
 
 
-def _window_end(log: SensorLog, start_s: float) -> float:
+def window_end(log: SensorLog, start_s: float) -> float:
     """Return when the vehicle has moved for a minute, or the end of the log [s]."""
     gnss = log.gnss
     if gnss is None:
@@ -221,8 +222,9 @@ def scout(ekf: ErrorStateEkf, gate: float = 0.0) -> ErrorStateEkf:
 def score(states: States, after_s: float = -np.inf) -> float:
     """Return how well a filter foresaw GNSS: the log-likelihood of its innovations.
 
-    A fix is worth no more than 25 against a hypothesis, so that outliers do not decide; axes are
-    taken as uncorrelated in the normalisation.
+    A fix is worth no more than 100 against a hypothesis, so that one outlier does not decide, yet
+    more than a model can gain by claiming too little noise; axes are taken as uncorrelated in the
+    normalisation.
 
     Args:
         states: What the filter left.
@@ -232,7 +234,7 @@ def score(states: States, after_s: float = -np.inf) -> float:
     def one(innovations: Innovations) -> float:
         late = innovations.t_s >= after_s
         spread = 2.0 * np.nansum(np.log(innovations.std[late]))
-        return float(-0.5 * (np.minimum(innovations.nis[late], 25.0).sum() + spread))
+        return float(-0.5 * (np.minimum(innovations.nis[late], _WORST).sum() + spread))
 
     return sum(one(i) for name, i in states.innovations.items() if name.startswith("gnss"))
 

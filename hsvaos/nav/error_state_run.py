@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _BLOCK = 512
+_WIDEST = np.repeat([100.0, 20.0, 0.5], 3)
+"""Spreads beyond which a recovery does not widen position [m], velocity [m/s], attitude [rad]."""
 
 
 @dataclass
@@ -207,7 +209,8 @@ class ErrorStateRun:
             # keeps how their errors hang together: a wrong velocity may come from a wrong heading.
             self.innovations.recovered(sensor)
             wider = np.ones(self.layout.size)
-            wider[:9] = math.sqrt(min(max(1.0, nis / len(residual)), 100.0))
+            room = _WIDEST / np.sqrt(self.C.diagonal()[:9])
+            wider[:9] = np.minimum(math.sqrt(max(1.0, nis / len(residual))), room).clip(1.0)
             self.C = self.C * np.outer(wider, wider)
             HC = H @ self.C
             S = HC @ H.T
@@ -226,7 +229,7 @@ class ErrorStateRun:
         self.x = self.x + error
         self.x[PHI] = 0.0
         self.R = rotation_of(phi) @ self.R
-        if phi @ phi > 1e-6:
+        if 1e-6 < phi @ phi < 1.0:
             # the error that is left is measured from the turned attitude: phi' = (1 + [phi]x/2) phi
             G = np.eye(3) + 0.5 * attitude.skew(phi)
             self.C[PHI] = G @ self.C[PHI]

@@ -10,7 +10,6 @@ from typing import TypeVar
 import numpy as np
 
 from hsvaos.flight import Flight
-from hsvaos.nav.align import refine
 from hsvaos.nav.checks import check_log
 from hsvaos.nav.error_state_ekf import ErrorStateEkf
 from hsvaos.nav.fit import Models, fit_models
@@ -112,8 +111,13 @@ def _error_state(
     turned = out.rotation[0] @ states.history.rotation[0].T if states.history else np.eye(3)
     if float(np.trace(turned)) < 1.0 + 2.0 * np.cos(np.radians(0.5)):
         # linearised half a degree off: worth a second pass from where the first one leads
-        stop = float(models.log.imu.t_s[-1])
-        start = refine(models.log, ekf, start, stop_s=stop, rounds=2)
+        start = start.replace(
+            position=out.position[0],
+            velocity=out.velocity[0],
+            quaternion=out.quaternion[0],
+            gyro_bias=out.gyro_bias[0],
+            accel_bias=out.accel_bias[0],
+        )
         again = ekf.run(models.log, start, progress=report("filter"))
         out = replace(smooth_states(again), notes=states.notes)
     return out

@@ -7,16 +7,16 @@ explained by a model that no sensor has.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hsvaos.nav.align import align, score, scout
+from hsvaos.nav.align import align, first_state, refine, score, scout, window_end
 from hsvaos.nav.error_state_ekf import ErrorStateEkf
 from hsvaos.nav.initial import InitialState
-from hsvaos.nav.log import SensorLog
+from hsvaos.nav.log import BaroLog, SensorLog
 from hsvaos.nav.sensor_models import (
     BARO_MODELS,
     GNSS_MODELS,
@@ -79,7 +79,7 @@ def fit_models(
     if gnss_latency_s is not None:
         first_gnss = replace(first_gnss, latency_s=gnss_latency_s)
     baro = baro or BARO_MODELS["ms5611"]
-    bare = log if gnss is not None else _without_noise(log)
+    bare = _thinned(log if gnss is not None else _without_noise(log))
     start = align(bare, ErrorStateEkf(first_imu, first_gnss, baro), rounds=1)
     done(0.3)
     notes: list[str] = []
@@ -97,10 +97,19 @@ def fit_models(
     done(0.8)
     chosen = first_gnss
     if gnss is None:
-        name, chosen, log = _receiver(log, bare, start, imu, first_gnss.latency_s)
+        name, chosen, own = _receiver(log, bare, start, imu, first_gnss.latency_s)
+        log = log if own else _without_noise(log)
         notes.append(f"gnss: noise {name} (fits best)")
     done(1.0)
-    start = align(log, ErrorStateEkf(imu, chosen, baro))
+    if chosen is not first_gnss or imu is not first_imu:
+        first = first_state(log, ErrorStateEkf(imu, chosen, baro))
+        start = start.replace(
+            position_std=first.position_std,
+            gyro_bias_std=first.gyro_bias_std,
+            accel_bias_std=first.accel_bias_std,
+        )
+    stop = min(window_end(log, start.t_s), start.t_s + _PIECE_S)
+    start = refine(_thinned(log), ErrorStateEkf(imu, chosen, baro), start, stop_s=stop)
     return Models(imu, chosen, baro, log, start, tuple(notes))
 
 
@@ -154,22 +163,27 @@ def _latency(trial: _Trial, imu: ImuModel, gnss: GnssModel) -> float:
 
 def _receiver(
     log: SensorLog, bare: SensorLog, start: InitialState, imu: ImuModel, latency_s: float
-) -> tuple[str, GnssModel, SensorLog]:
-    """Return the best receiver model, what to call it, and the log it goes with."""
-    options: list[tuple[str, GnssModel, SensorLog]] = [
-        (f"of preset {name!r}", replace(model, latency_s=latency_s), bare)
+) -> tuple[str, GnssModel, bool]:
+    """Return what to call the best receiver model, the model, whether the log's noise is used."""
+    log = _thinned(log)
+    options = [
+        (f"of preset {name!r}", replace(model, latency_s=latency_s), False)
         for name, model in GNSS_MODELS.items()
     ]
     if log.gnss is not None and log.gnss.position_std is not None:
         logged = replace(GNSS_MODELS["single"], latency_s=latency_s)
-        options.append(("as the receiver states it", logged, log))
-    values = [_Trial(data, start).score(imu, model) for _, model, data in options]
-    return options[_best(values)]
+        options.append(("as the receiver states it", logged, True))
+    values = [_Trial(log if own else bare, start).score(imu, m) for _, m, own in options]
+    return options[int(np.argmax(values))]
 
 
-def _best(values: Sequence[float]) -> int:
-    """Return the place of the largest value."""
-    return int(np.argmax(values))
+def _thinned(log: SensorLog) -> SensorLog:
+    """Return the log with every n-th height only, ten a second: enough to judge the rest by."""
+    baro = log.baro
+    if baro is None or len(baro.t_s) < 2:
+        return log
+    every = max(1, int(len(baro.t_s) / (baro.t_s[-1] - baro.t_s[0]) / 10.0))
+    return log.replace(baro=BaroLog(baro.t_s[::every], baro.height_m[::every]))
 
 
 def _without_noise(log: SensorLog) -> SensorLog:

@@ -197,11 +197,11 @@ GNSS_MODELS: dict[str, GnssModel] = {
     ),
     "standalone": GnssModel(
         rate_hz=5.0,
-        position_std=(0.3, 0.5),
+        position_std=(0.2, 0.4),
         velocity_std=0.2,
         velocity_std_down=0.3,
         wander_std=(2.0, 3.0),
-        wander_tau_s=60.0,
+        wander_tau_s=80.0,
         source="a single-frequency receiver as logged: smooth from fix to fix, metres off over "
         "minutes; levels by which the innovations of public PX4 logs become consistent",
     ),
