@@ -15,6 +15,11 @@ if TYPE_CHECKING:
     from hsvaos.flight import FlightError as FlightError
     from hsvaos.flight import Frame as Frame
     from hsvaos.flight import Origin as Origin
+    from hsvaos.nav.error_state_ekf import ErrorStateEkf as ErrorStateEkf
+    from hsvaos.nav.estimate import estimate_trajectory as estimate_trajectory
+    from hsvaos.nav.paper_ekf import PaperEkf as PaperEkf
+    from hsvaos.nav.smoother import smooth as smooth
+    from hsvaos.nav.trajectory import Trajectory as Trajectory
     from hsvaos.surface import FocalPlane as FocalPlane
     from hsvaos.surface import FocalTerrain as FocalTerrain
 
@@ -27,6 +32,11 @@ _HOME = {
     "FlightError": "hsvaos.flight",
     "Frame": "hsvaos.flight",
     "Origin": "hsvaos.flight",
+    "ErrorStateEkf": "hsvaos.nav.error_state_ekf",
+    "PaperEkf": "hsvaos.nav.paper_ekf",
+    "Trajectory": "hsvaos.nav.trajectory",
+    "estimate_trajectory": "hsvaos.nav.estimate",
+    "smooth": "hsvaos.nav.smoother",
     "FocalPlane": "hsvaos.surface",
     "FocalTerrain": "hsvaos.surface",
 }

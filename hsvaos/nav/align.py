@@ -30,7 +30,6 @@ _WINDOW_S = 60.0
 _LONGEST_S = 240.0
 _MOVING_M_S = 1.5
 _BANK = 8
-_WORST = 100.0
 _STILL_RATE = 0.03  # [rad/s], spread of the gyroscope that rotors or an engine still make
 _STILL_FORCE = 0.6  # [m/s^2]
 
@@ -219,22 +218,23 @@ def scout(ekf: ErrorStateEkf, gate: float = 0.0) -> ErrorStateEkf:
     return ErrorStateEkf(ekf.imu, ekf.gnss, None, gate=gate, max_step_s=0.25)
 
 
-def score(states: States, after_s: float = -np.inf) -> float:
+def score(states: States, after_s: float = -np.inf, worst: float = 100.0) -> float:
     """Return how well a filter foresaw GNSS: the log-likelihood of its innovations.
 
-    A fix is worth no more than 100 against a hypothesis, so that one outlier does not decide, yet
-    more than a model can gain by claiming too little noise; axes are taken as uncorrelated in the
-    normalisation.
+    Axes are taken as uncorrelated in the normalisation.
 
     Args:
         states: What the filter left.
         after_s: Innovations before are not counted [s].
+        worst: What one measurement counts against a hypothesis at most, so that an outlier does
+            not decide; to compare noise levels it must exceed what a model can gain by claiming
+            too little noise.
     """
 
     def one(innovations: Innovations) -> float:
         late = innovations.t_s >= after_s
         spread = 2.0 * np.nansum(np.log(innovations.std[late]))
-        return float(-0.5 * (np.minimum(innovations.nis[late], _WORST).sum() + spread))
+        return float(-0.5 * (np.minimum(innovations.nis[late], worst).sum() + spread))
 
     return sum(one(i) for name, i in states.innovations.items() if name.startswith("gnss"))
 

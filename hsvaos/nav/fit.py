@@ -137,17 +137,22 @@ class _Trial:
             moving = float(fast[0]) if len(fast) else moving
         return min(moving + _PIECE_S, float(self.log.imu.t_s[-1]))
 
-    def score(self, imu: ImuModel, gnss: GnssModel) -> float:
+    def score(
+        self, imu: ImuModel, gnss: GnssModel, *, gate: float = 1e-5, worst: float = 100.0
+    ) -> float:
         """Return the log-likelihood of the fixes of the piece."""
-        ekf = scout(ErrorStateEkf(imu, gnss), gate=1e-5)
+        ekf = scout(ErrorStateEkf(imu, gnss), gate=gate)
         states = ekf.run(self.log, self.start, keep_history=False, stop_s=self.stop)
         # by the stamp, so that every latency is judged by the same fixes
-        return score(states, self.after - gnss.latency_s)
+        return score(states, self.after - gnss.latency_s, worst)
 
 
 def _latency(trial: _Trial, imu: ImuModel, gnss: GnssModel) -> float:
     """Return the latency of the fixes that explains them best [s], or 0 if none does clearly."""
-    values = [trial.score(imu, replace(gnss, latency_s=float(x))) for x in _LATENCIES_S]
+    values = [
+        trial.score(imu, replace(gnss, latency_s=float(x)), gate=0.0, worst=25.0)
+        for x in _LATENCIES_S
+    ]
     plain = values[1]  # no latency
     best = int(np.argmax(values))
     if values[best] - plain < _DECISIVE:
@@ -175,6 +180,14 @@ def _receiver(
         options.append(("as the receiver states it", logged, True))
     values = [_Trial(log if own else bare, start).score(imu, m) for _, m, own in options]
     return options[int(np.argmax(values))]
+
+
+def _velocity_only(log: SensorLog) -> SensorLog:
+    """Return the log without positions (their slow errors blur latency), if it has velocities."""
+    gnss = log.gnss
+    if gnss is None or np.isfinite(gnss.velocity).all(axis=1).mean() < 0.5:
+        return log
+    return log.replace(gnss=replace(gnss, position=np.full_like(gnss.position, np.nan)))
 
 
 def _thinned(log: SensorLog) -> SensorLog:
