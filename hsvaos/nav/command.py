@@ -125,7 +125,8 @@ def summary(trajectory: Trajectory, name: str) -> Table:
     C = trajectory.covariance(last)
     std, turn = np.sqrt(np.diagonal(C)), np.degrees(trajectory.euler_std(last))
     table.caption = (
-        f"mean NIS is 1 where noise is as supposed; at the end, 1 sigma: {np.hypot(std[0], std[1]):.3f} m horizontal, {std[2]:.3f} m "
+        "mean NIS is 1 where noise is as the models say; at the end, 1 sigma: "
+        f"{np.hypot(std[0], std[1]):.3f} m horizontal, {std[2]:.3f} m "
         f"vertical, roll {turn[0]:.2f}, pitch {turn[1]:.2f}, yaw {turn[2]:.2f} deg"
     )
     table.caption_justify = "left"

@@ -29,7 +29,7 @@ from hsvaos.nav.sensor_models import (
 Array = NDArray[np.float64]
 
 _LATENCIES_S = np.arange(-1, 11) * 0.05
-_PIECE_S = 150.0
+_PIECE_S = 80.0
 _DECISIVE = 8.0
 """Difference of log-likelihood below which the plain hypothesis stays."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hsvaos.flight import Flight, FlightError
 from hsvaos.nav.estimate import estimate_trajectory
@@ -30,23 +31,18 @@ def poses_at_photos(flight: Flight, trajectory: Trajectory | None = None) -> Fli
     from hsvaos.formats.sensor_log import sensor_log_of
 
     log = sensor_log_of(flight)
-    if trajectory is None:
-        trajectory = estimate_trajectory(log)
     triggers = dict(log.triggers)
-    notes = [*flight.notes, *(f"nav: {note}" for note in trajectory.notes)]
+    notes = list(flight.notes)
     names = [frame.name for frame in flight.frames]
     if triggers and not any(name in triggers for name in names) and len(triggers) == len(names):
         triggers = dict(zip(names, triggers.values(), strict=True))
         notes.append(f"nav: {len(names)} photos matched to as many triggers in order of time")
-    first, last = trajectory.span
     times = np.array([triggers.get(frame.name, frame.t_s) for frame in flight.frames])
-    inside = (times >= first) & (times <= last)
-    if not inside.any():
-        raise FlightError(
-            f"{flight.source}: no photo lies within the sensor log ({first:.1f} to {last:.1f} s): "
-            f"expected triggers on the log's clock, got {int(np.isfinite(times).sum())} of "
-            f"{len(times)} photos with a time"
-        )
+    _refuse_strangers(flight, times, (float(log.imu.t_s[0]), float(log.imu.t_s[-1])))
+    if trajectory is None:
+        trajectory = estimate_trajectory(log)
+    notes += [f"nav: {note}" for note in trajectory.notes]
+    inside = _refuse_strangers(flight, times, trajectory.span)
     index = np.flatnonzero(inside)
     poses = trajectory.world_from_camera(times[index])
     frames = tuple(
@@ -59,3 +55,17 @@ def poses_at_photos(flight: Flight, trajectory: Trajectory | None = None) -> Fli
             "exposure within the sensor log"
         )
     return flight.replace(frames=frames, notes=tuple(notes))
+
+
+def _refuse_strangers(
+    flight: Flight, times: NDArray[np.float64], span: tuple[float, float]
+) -> NDArray[np.bool_]:
+    """Return which photos lie within a span of time, or refuse a flight of which none does."""
+    inside = np.asarray((times >= span[0]) & (times <= span[1]))
+    if not inside.any():
+        raise FlightError(
+            f"{flight.source}: no photo lies within the sensor log ({span[0]:.1f} to "
+            f"{span[1]:.1f} s): expected triggers on the log's clock, got "
+            f"{int(np.isfinite(times).sum())} of {len(times)} photos with a time"
+        )
+    return inside

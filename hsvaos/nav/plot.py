@@ -118,8 +118,8 @@ def _attitude(axes: list[Any], trajectory: Trajectory, t: Any) -> None:
     """Draw roll and pitch above, yaw below, each with its 2-sigma band."""
     euler = np.degrees(attitude.to_euler(trajectory.at(t)[2]))
     band = 2.0 * np.degrees(trajectory.euler_std(t))
-    # unwrapped for drawing, so that a turn through south is no cliff
-    euler[:, [0, 2]] = np.unwrap(euler[:, [0, 2]], period=360.0, axis=0)
+    # a turn through south is a gap in the line, not a cliff
+    euler[1:][np.abs(np.diff(euler, axis=0)) > 180.0] = np.nan
     for axis, columns in ((axes[0], (0, 1)), (axes[1], (2,))):
         for column in columns:
             color = (_BLUE, _ORANGE, _BLUE)[column]
