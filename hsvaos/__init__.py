@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from hsvaos.flight import FlightError as FlightError
     from hsvaos.flight import Frame as Frame
     from hsvaos.flight import Origin as Origin
+<<<<<<< HEAD
     from hsvaos.formats.open import open_flight as open_flight
     from hsvaos.kernels.anomaly import rx_masks as rx_masks
     from hsvaos.kernels.color import brighten as brighten
@@ -30,6 +31,13 @@ if TYPE_CHECKING:
     from hsvaos.pipeline import run as run
     from hsvaos.result import Result as Result
     from hsvaos.settings import Settings as Settings
+=======
+    from hsvaos.nav.error_state_ekf import ErrorStateEkf as ErrorStateEkf
+    from hsvaos.nav.estimate import estimate_trajectory as estimate_trajectory
+    from hsvaos.nav.paper_ekf import PaperEkf as PaperEkf
+    from hsvaos.nav.smoother import smooth as smooth
+    from hsvaos.nav.trajectory import Trajectory as Trajectory
+>>>>>>> nav
     from hsvaos.surface import FocalPlane as FocalPlane
     from hsvaos.surface import FocalTerrain as FocalTerrain
 
@@ -56,7 +64,15 @@ _HOME = {
     "FlightError": "hsvaos.flight",
     "Frame": "hsvaos.flight",
     "Origin": "hsvaos.flight",
+<<<<<<< HEAD
     "open_flight": "hsvaos.formats.open",
+=======
+    "ErrorStateEkf": "hsvaos.nav.error_state_ekf",
+    "PaperEkf": "hsvaos.nav.paper_ekf",
+    "Trajectory": "hsvaos.nav.trajectory",
+    "estimate_trajectory": "hsvaos.nav.estimate",
+    "smooth": "hsvaos.nav.smoother",
+>>>>>>> nav
     "FocalPlane": "hsvaos.surface",
     "FocalTerrain": "hsvaos.surface",
 }

@@ -9,7 +9,6 @@ linearising about a start that was degrees off.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -47,7 +46,7 @@ def align(log: SensorLog, ekf: ErrorStateEkf, *, rounds: int = 3) -> InitialStat
         ValueError: If the log has no fix.
     """
     start = first_state(log, ekf)
-    stop = _window_end(log, start.t_s)
+    stop = window_end(log, start.t_s)
     start = _heading(log, ekf, start, stop)
     return refine(log, ekf, start, stop_s=min(stop, start.t_s + _LONGEST_S), rounds=rounds)
 
@@ -103,7 +102,7 @@ def first_state(log: SensorLog, ekf: ErrorStateEkf) -> InitialState:
         model = ekf.gnss
         position_std = np.array([3.0, 3.0, 5.0])
         if model is not None:
-            position_std = np.hypot(model.position_std, model.wander_std)[[0, 0, 1]]
+            position_std = np.hypot(model.position_axes, model.wander_axes)
     still = _still_until(log, t)
     imu, g = log.imu, gravity_of(log)
     notes: tuple[str, ...]
@@ -169,7 +168,7 @@ def _still_until(log: SensorLog, start_s: float) -> float | None:
     return still if still is not None and still - imu.t_s[0] >= 1.0 else None
 
 
-def _window_end(log: SensorLog, start_s: float) -> float:
+def window_end(log: SensorLog, start_s: float) -> float:
     """Return when the vehicle has moved for a minute, or the end of the log [s]."""
     gnss = log.gnss
     if gnss is None:
@@ -212,29 +211,30 @@ def _heading(
     return guess.replace(notes=(*start.notes, f"start: heading from {source}"))
 
 
-def scout(ekf: ErrorStateEkf) -> ErrorStateEkf:
-    """Return a fast filter of the same models for comparing hypotheses: GNSS only, no gates."""
+def scout(ekf: ErrorStateEkf, gate: float = 0.0) -> ErrorStateEkf:
+    """Return a fast filter of the same models for comparing hypotheses: GNSS only."""
     from hsvaos.nav.error_state_ekf import ErrorStateEkf
 
-    gnss = None if ekf.gnss is None else replace(ekf.gnss, wander_std=(0.0, 0.0))
-    return ErrorStateEkf(ekf.imu, gnss, None, gate=0.0, max_step_s=0.25)
+    return ErrorStateEkf(ekf.imu, ekf.gnss, None, gate=gate, max_step_s=0.25)
 
 
-def score(states: States, after_s: float = -np.inf) -> float:
+def score(states: States, after_s: float = -np.inf, worst: float = 100.0) -> float:
     """Return how well a filter foresaw GNSS: the log-likelihood of its innovations.
 
-    A fix is worth no more than 25 against a hypothesis, so that outliers do not decide; axes are
-    taken as uncorrelated in the normalisation.
+    Axes are taken as uncorrelated in the normalisation.
 
     Args:
         states: What the filter left.
         after_s: Innovations before are not counted [s].
+        worst: What one measurement counts against a hypothesis at most, so that an outlier does
+            not decide; to compare noise levels it must exceed what a model can gain by claiming
+            too little noise.
     """
 
     def one(innovations: Innovations) -> float:
         late = innovations.t_s >= after_s
         spread = 2.0 * np.nansum(np.log(innovations.std[late]))
-        return float(-0.5 * (np.minimum(innovations.nis[late], 25.0).sum() + spread))
+        return float(-0.5 * (np.minimum(innovations.nis[late], worst).sum() + spread))
 
     return sum(one(i) for name, i in states.innovations.items() if name.startswith("gnss"))
 

@@ -136,9 +136,11 @@ def _gnss(log: SensorLog, notes: list[str]) -> GnssLog:
     """Check that there are fixes, and bring them in order."""
     gnss = log.gnss
     if gnss is None or not np.isfinite(gnss.position).all(axis=1).any():
+        missing = "; ".join(log.extra.get("missing", ()))
         raise FlightError(
             f"{log.name}: no GNSS position: a trajectory needs fixes to be tied to the ground, "
             f"expected at least one, got {'no GNSS log' if gnss is None else 'none'}"
+            + (f" (missing: {missing})" if missing else "")
         )
     keep = np.isfinite(gnss.t_s) & (np.isfinite(gnss.position) | np.isfinite(gnss.velocity)).any(1)
     order, out_of_order, repeated = _in_order(gnss.t_s, keep)

@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _BLOCK = 512
+_WIDEST = np.repeat([100.0, 20.0, 0.5], 3)
+"""Spreads beyond which a recovery does not widen position [m], velocity [m/s], attitude [rad]."""
 
 
 @dataclass
@@ -61,16 +63,31 @@ class ErrorStateRun:
         self.R = attitude.matrix(initial.quaternion)
         std = np.zeros(n)
         std[:15] = initial.std
+        self.notes = initial.notes
         if self.layout.baro_bias and ekf.baro is not None:
-            std[15] = ekf.baro.bias_std
+            self.x[15], std[15] = self._baro_zero(ekf.baro.bias_std, initial)
         if self.layout.wander and ekf.gnss is not None:
-            std[self.layout.wander_at] = np.asarray(ekf.gnss.wander_std)[[0, 0, 1]]
+            std[self.layout.wander_at] = ekf.gnss.wander_axes
         self.C = np.diag(std**2)
         self.lever = np.asarray(log.mounting.antenna_lever_arm, dtype=np.float64)
         self.gates: dict[str, _Gate] = {}
         self.innovations = InnovationLog()
-        self.notes = initial.notes
         self.gnss_std = gnss_noise(log, ekf.gnss)
+
+    def _baro_zero(self, bias_std: float, initial: InitialState) -> tuple[float, float]:
+        """Return the offset of the barometer to begin with and how sure it is [m]."""
+        baro = self.log.baro
+        if baro is None or not len(baro.t_s):
+            return 0.0, bias_std
+        near = int(np.argmin(np.abs(baro.t_s - initial.t_s)))
+        apart = float(baro.height_m[near]) + float(initial.position[2])
+        unsure = float(np.hypot(bias_std, initial.position_std[2]))
+        if abs(apart) < 5.0 * unsure:
+            return 0.0, bias_std
+        # it counts from another level (the sea, the standard atmosphere)
+        note = f"baro: its zero is {apart:+.1f} m off that of the local frame: taken as its offset"
+        self.notes = (*self.notes, note)
+        return apart, 3.0 * unsure
 
     def states(self, progress: Callable[[float], None] | None) -> States:
         """Run over all epochs."""
@@ -156,12 +173,12 @@ class ErrorStateRun:
         gnss: Any = self.log.gnss
         std = self.gnss_std[0][index]
         rows = gnss_position(gnss.position[index], std, self.x, self.R, self.lever, self.layout)
-        self._update("gnss position", t, rows, P)
+        self._update("gnss position", t, rows)
         std = self.gnss_std[1][index]
         rows = gnss_velocity(
             gnss.velocity[index], std, self.x, self.R, self.lever, rate, self.layout
         )
-        self._update("gnss velocity", t, rows, V)
+        self._update("gnss velocity", t, rows)
 
     def _use_baro(self, t: float, index: int) -> None:
         """Update with one height."""
@@ -169,10 +186,9 @@ class ErrorStateRun:
         if baro is None or model is None:
             return
         rows = baro_height(float(baro.height_m[index]), model.noise_std, self.x, self.layout)
-        at = self.layout.baro_at if self.layout.baro_bias else 2
-        self._update("baro", t, rows, slice(at, at + 1))
+        self._update("baro", t, rows)
 
-    def _update(self, sensor: str, t: float, rows: Rows, blamed: slice) -> None:
+    def _update(self, sensor: str, t: float, rows: Rows) -> None:
         """Correct by one measurement, if it passes its gate (Joseph form)."""
         residual, H, variance = rows
         if not len(residual):
@@ -189,10 +205,13 @@ class ErrorStateRun:
             gate.refused_since = min(gate.refused_since, t)
             if t - gate.refused_since < self.ekf.recovery_s:
                 return
-            # The state is wrong, not the sensor: doubt what the sensor sees, then believe it.
+            # The state is wrong, not the sensor. Widening position, velocity and attitude alike
+            # keeps how their errors hang together: a wrong velocity may come from a wrong heading.
             self.innovations.recovered(sensor)
-            diagonal = np.arange(self.layout.size)[blamed]
-            self.C[diagonal, diagonal] += float(residual @ residual)
+            wider = np.ones(self.layout.size)
+            room = _WIDEST / np.sqrt(self.C.diagonal()[:9])
+            wider[:9] = np.minimum(math.sqrt(max(1.0, nis / len(residual))), room).clip(1.0)
+            self.C = self.C * np.outer(wider, wider)
             HC = H @ self.C
             S = HC @ H.T
             S.flat[:: len(residual) + 1] += variance
@@ -210,7 +229,7 @@ class ErrorStateRun:
         self.x = self.x + error
         self.x[PHI] = 0.0
         self.R = rotation_of(phi) @ self.R
-        if phi @ phi > 1e-6:
+        if 1e-6 < phi @ phi < 1.0:
             # the error that is left is measured from the turned attitude: phi' = (1 + [phi]x/2) phi
             G = np.eye(3) + 0.5 * attitude.skew(phi)
             self.C[PHI] = G @ self.C[PHI]
@@ -235,7 +254,7 @@ def gnss_noise(log: SensorLog, model: GnssModel | None) -> tuple[Array, Array]:
                     f"{log.name}: the GNSS log states no {name} noise: expected a GnssModel or "
                     "std columns, got neither"
                 )
-            level = model.position_std if name == "position" else (model.velocity_std,) * 2
-            std = np.tile(np.asarray(level)[[0, 0, 1]], (len(gnss.t_s), 1))
+            level = model.position_axes if name == "position" else model.velocity_axes
+            std = np.tile(level, (len(gnss.t_s), 1))
         out.append(std)
     return out[0], out[1]

@@ -25,6 +25,7 @@ STANDARD_GRAVITY = 9.80665
 GAP_S = 0.3
 """An IMU step longer than this is a gap: nobody knows what happened in it [s]."""
 _GAP_RATE_NOISE = 0.3  # [rad/sqrt(s)]
+_SCALE_S = 1.0  # how long an error of scale or alignment pulls the same way [s]
 _GAP_FORCE_NOISE = 3.0  # [m/s/sqrt(s)]
 
 
@@ -120,13 +121,13 @@ def _steps_of(process: Process, stretches: Stretches, bias: Array) -> Steps:
     F[:, V, 9:15] = by_bias[:, 3:6]
     F[:, P, 9:15] = by_bias[:, 6:9]
     Q = np.zeros((count, n, n))
-    _inertial_noise(Q, inc, process.imu, stretches.dt)
+    _inertial_noise(Q, inc, process, stretches)
     keep = np.ones(count)
     if layout.baro_bias and process.baro is not None:
         Q[:, layout.baro_at, layout.baro_at] = process.baro.bias_walk**2 * inc.duration
     if layout.wander and process.gnss is not None:
         keep = np.exp(-inc.duration / process.gnss.wander_tau_s)
-        variance = np.asarray(process.gnss.wander_std)[[0, 0, 1]] ** 2
+        variance = process.gnss.wander_axes**2
         for i, at in enumerate(range(*layout.wander_at.indices(n))):
             F[:, at, at] = keep
             Q[:, at, at] = variance[i] * (1.0 - keep**2)
@@ -145,7 +146,7 @@ def _steps_of(process: Process, stretches: Stretches, bias: Array) -> Steps:
     )
 
 
-def _inertial_noise(Q: Array, inc: Increments, model: ImuModel, dt: Array) -> None:
+def _inertial_noise(Q: Array, inc: Increments, process: Process, stretches: Stretches) -> None:
     """Fill in the white noise of the IMU and the walk of its biases.
 
     White noise integrated over a step of constant mean force a, A = [a]x:
@@ -153,9 +154,17 @@ def _inertial_noise(Q: Array, inc: Increments, model: ImuModel, dt: Array) -> No
     p-phi: -g T^3/6 A;  p-v: f T^2/2 - g T^4/8 A A, with densities g of the rate, f of the force.
     """
     T = inc.duration[:, None, None]
+    model, dt = process.imu, stretches.dt
     gap = (np.maximum(dt - GAP_S, 0.0).sum(axis=1) > 0.0)[:, None, None]
     g = model.gyro_noise**2 + gap * _GAP_RATE_NOISE**2
     f = model.accel_noise**2 + gap * _GAP_FORCE_NOISE**2
+    if model.scale_std > 0.0:
+        # a constant share of the motion, unknown for a second, has this density about it
+        share = 2.0 * _SCALE_S * model.scale_std**2
+        rate = np.linalg.norm(stretches.gyro, axis=-1).max(axis=1)
+        force = np.linalg.norm(stretches.accel, axis=-1)
+        g = g + share * rate[:, None, None] ** 2
+        f = f + share * np.abs(force - process.gravity).max(axis=1)[:, None, None] ** 2
     eye = np.eye(3)
     safe = np.maximum(inc.duration, 1e-9)[:, None]
     A = skew(inc.velocity / safe)

@@ -10,6 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
 
 _DEG = np.pi / 180.0
 _MILLI_G = 9.80665e-3
@@ -32,6 +35,8 @@ class ImuModel:
         accel_bias_walk: The same of the accelerometer [m/s^3/sqrt(Hz)].
         gyro_bias_tau_s: Correlation time of the drift [s]; infinite for a random walk.
         accel_bias_tau_s: The same of the accelerometer [s].
+        scale_std: Spread of scale factor and misalignment, as a share of rate and of force beyond
+            gravity; the filter takes it as noise that lasts a second, the simulator ignores it.
         source: Where the figures come from.
     """
 
@@ -44,6 +49,7 @@ class ImuModel:
     accel_bias_walk: float = 0.0
     gyro_bias_tau_s: float = float("inf")
     accel_bias_tau_s: float = float("inf")
+    scale_std: float = 0.0
     source: str = ""
 
     def with_constant_biases(self) -> ImuModel:
@@ -58,7 +64,8 @@ class GnssModel:
     Args:
         rate_hz: Fixes a second.
         position_std: White noise of north or east, and of down [m].
-        velocity_std: White noise of each axis of the velocity [m/s].
+        velocity_std: White noise of north or east velocity [m/s].
+        velocity_std_down: White noise of the down velocity [m/s]; as the others if 0.
         wander_std: Spread of the slowly varying position error, horizontal and down [m].
         wander_tau_s: Its correlation time [s].
         latency_s: How late a fix is stamped [s].
@@ -68,10 +75,26 @@ class GnssModel:
     rate_hz: float
     position_std: tuple[float, float]
     velocity_std: float
+    velocity_std_down: float = 0.0
     wander_std: tuple[float, float] = (0.0, 0.0)
     wander_tau_s: float = 60.0
     latency_s: float = 0.0
     source: str = ""
+
+    @property
+    def position_axes(self) -> Array:
+        """Shape (3,), white noise of north, east and down [m]."""
+        return np.asarray(self.position_std)[[0, 0, 1]]
+
+    @property
+    def velocity_axes(self) -> Array:
+        """Shape (3,), white noise of the velocity [m/s]."""
+        return np.array([self.velocity_std] * 2 + [self.velocity_std_down or self.velocity_std])
+
+    @property
+    def wander_axes(self) -> Array:
+        """Shape (3,), spread of the slow position error [m]."""
+        return np.asarray(self.wander_std)[[0, 0, 1]]
 
 
 @dataclass(frozen=True)
@@ -136,6 +159,18 @@ IMU_MODELS: dict[str, ImuModel] = {
         source="RotorS simulator (Furrer et al. 2016), defaults of its IMU plug-in for the "
         "ADIS16448: datasheet figures doubled, and a strong drift",
     ),
+    "autopilot": ImuModel(
+        rate_hz=100.0,
+        gyro_noise=3.0e-3,
+        accel_noise=0.12,
+        gyro_bias_std=1.0 * _DEG,
+        accel_bias_std=40.0 * _MILLI_G,
+        gyro_bias_walk=1.0e-4,
+        accel_bias_walk=3.0e-3,
+        scale_std=0.02,
+        source="a consumer sensor as autopilots log it in flight: vibration, aliasing and uneven "
+        "stamps included; noise by which the innovations of two public PX4 logs become consistent",
+    ),
     "consumer": ImuModel(
         rate_hz=200.0,
         gyro_noise=0.01 * _DEG,
@@ -159,6 +194,25 @@ GNSS_MODELS: dict[str, GnssModel] = {
         velocity_std=0.3,
         source="levels of white noise that bring a simulated mission to the attitude and "
         "horizontal errors of the paper's Table 1; single-frequency receivers state 2.5 m CEP",
+    ),
+    "standalone": GnssModel(
+        rate_hz=5.0,
+        position_std=(0.2, 0.4),
+        velocity_std=0.2,
+        velocity_std_down=0.3,
+        wander_std=(2.0, 3.0),
+        wander_tau_s=80.0,
+        source="a single-frequency receiver as logged: smooth from fix to fix, metres off over "
+        "minutes; levels by which the innovations of public PX4 logs become consistent",
+    ),
+    "poor": GnssModel(
+        rate_hz=5.0,
+        position_std=(0.5, 1.0),
+        velocity_std=0.5,
+        velocity_std_down=1.0,
+        wander_std=(5.0, 10.0),
+        wander_tau_s=60.0,
+        source="a single-frequency receiver with a bad sky or a bad antenna: assumed",
     ),
     "sbas": GnssModel(
         rate_hz=10.0,

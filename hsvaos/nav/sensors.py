@@ -139,13 +139,12 @@ def simulate_gnss(
     rate = _resample(motion.t_s, motion.angular_rate, t)
     position = position + rotate(q, np.broadcast_to(lever, position.shape))
     velocity = velocity + rotate(q, np.cross(rate, lever))
-    std = np.array([model.position_std[0], model.position_std[0], model.position_std[1]])
-    wander = np.array([model.wander_std[0], model.wander_std[0], model.wander_std[1]])
+    std, wander = model.position_axes, model.wander_axes
     position = position + std * rng.standard_normal(position.shape)
     if wander.any():
         unit = _drift(t, np.sqrt(2.0 / model.wander_tau_s), model.wander_tau_s, rng, steady=True)
         position = position + wander * unit
-    velocity = velocity + model.velocity_std * rng.standard_normal(velocity.shape)
+    velocity = velocity + model.velocity_axes * rng.standard_normal(velocity.shape)
     # Drawn even if not used, so that a fault does not change the noise of the clean fixes.
     hit = rng.random(len(t)) < outlier_share
     jump = rng.standard_normal(position.shape)
@@ -160,7 +159,7 @@ def simulate_gnss(
         position=position[keep],
         velocity=velocity[keep],
         position_std=np.tile(std, (n, 1)),
-        velocity_std=np.full((n, 3), model.velocity_std),
+        velocity_std=np.tile(model.velocity_axes, (n, 1)),
     )
 
 
