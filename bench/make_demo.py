@@ -3,8 +3,9 @@
     python bench/make_demo.py            writes hsvaos/data/demo_flight
     python bench/make_demo.py try 1 2 3  says how well the hidden person shows for some seeds
 
-The seed was chosen among eight: photos that look down on the hidden person (it lies within a quarter of
-the width of the centre) show 6 % of its pixels at most, most show none, and the integral shows it.
+The seed was chosen among eight: photos that look down on the hidden person (it lies within a
+quarter of the width of their centre) show at most 6 % of its pixels, most show none, and the
+integral shows it.
 """
 
 from __future__ import annotations

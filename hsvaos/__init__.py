@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from hsvaos.flight import FlightError as FlightError
     from hsvaos.flight import Frame as Frame
     from hsvaos.flight import Origin as Origin
-<<<<<<< HEAD
     from hsvaos.formats.open import open_flight as open_flight
     from hsvaos.kernels.anomaly import rx_masks as rx_masks
     from hsvaos.kernels.color import brighten as brighten
@@ -28,16 +27,14 @@ if TYPE_CHECKING:
     from hsvaos.kernels.rarity import rarity_weights as rarity_weights
     from hsvaos.kernels.sweep import best_focus as best_focus
     from hsvaos.kernels.sweep import focus_measure as focus_measure
-    from hsvaos.pipeline import run as run
-    from hsvaos.result import Result as Result
-    from hsvaos.settings import Settings as Settings
-=======
     from hsvaos.nav.error_state_ekf import ErrorStateEkf as ErrorStateEkf
     from hsvaos.nav.estimate import estimate_trajectory as estimate_trajectory
     from hsvaos.nav.paper_ekf import PaperEkf as PaperEkf
     from hsvaos.nav.smoother import smooth as smooth
     from hsvaos.nav.trajectory import Trajectory as Trajectory
->>>>>>> nav
+    from hsvaos.pipeline import run as run
+    from hsvaos.result import Result as Result
+    from hsvaos.settings import Settings as Settings
     from hsvaos.surface import FocalPlane as FocalPlane
     from hsvaos.surface import FocalTerrain as FocalTerrain
 
@@ -64,15 +61,12 @@ _HOME = {
     "FlightError": "hsvaos.flight",
     "Frame": "hsvaos.flight",
     "Origin": "hsvaos.flight",
-<<<<<<< HEAD
     "open_flight": "hsvaos.formats.open",
-=======
     "ErrorStateEkf": "hsvaos.nav.error_state_ekf",
     "PaperEkf": "hsvaos.nav.paper_ekf",
     "Trajectory": "hsvaos.nav.trajectory",
     "estimate_trajectory": "hsvaos.nav.estimate",
     "smooth": "hsvaos.nav.smoother",
->>>>>>> nav
     "FocalPlane": "hsvaos.surface",
     "FocalTerrain": "hsvaos.surface",
 }
