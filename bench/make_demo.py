@@ -36,7 +36,15 @@ MOST_BYTES = 2_500_000
 
 def settings(seed: int) -> SimulationSettings:
     return SimulationSettings(
-        forest=ForestSettings(season="summer", seed=seed, density=420.0, leaf_density=0.8),
+        forest=ForestSettings(
+            season="summer",
+            seed=seed,
+            density=380.0,
+            leaf_density=0.7,
+            relief_m=0.08,
+            glades=0.0,
+            cloud=0.4,
+        ),
         mission=Mission(
             photos=30, photo_distance_m=3.0, strip_distance_m=5.0, speed_m_s=4.0, hover_s=4.0
         ),
