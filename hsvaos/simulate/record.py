@@ -21,7 +21,9 @@ from numpy.typing import NDArray
 
 from hsvaos.flight import Flight, FlightError, Frame
 from hsvaos.formats.native_write import write_native
+from hsvaos.formats.poses import PosedName, write_poses_csv
 from hsvaos.kernels.device import threads
+from hsvaos.simulate.estimate import estimated_poses
 from hsvaos.simulate.occlusion import label, mean_fraction
 from hsvaos.simulate.settings import SimulationSettings
 from hsvaos.simulate.simulation import MOUNTING, ORIGIN, Photo, Simulation
@@ -41,6 +43,9 @@ def simulate_flight(
     simulation: Simulation | None = None,
 ) -> Path:
     """Simulate a flight and write it as a native flight folder with truth.json.
+
+    Beside the format's own files it holds `poses_ekf.csv`, the poses as the package's error-state
+    filter and smoother see them, and `truth_terrain.npz`, the true ground.
 
     Args:
         settings: What to simulate.
@@ -82,7 +87,17 @@ def simulate_flight(
             "antenna_lever_arm_m": MOUNTING.antenna_lever_arm,
         },
     )
-    write_native(flight, folder, logs=simulation.tables(), truth=_truth(simulation, counts))
+    truth = _truth(simulation, counts)
+    try:
+        estimate = estimated_poses(simulation.log, settings.sensors, simulation.flown.triggers_s)
+    except ValueError as error:
+        # Outages or very short flights can leave a log that no filter can start on.
+        estimate, truth["poses_ekf"] = None, f"none: {error}"
+    write_native(flight, folder, logs=simulation.tables(), truth=truth)
+    if estimate is not None:
+        times = simulation.flown.triggers_s.tolist()
+        rows = [PosedName(n, p, t) for n, p, t in zip(names, estimate, times, strict=True)]
+        write_poses_csv(folder / "poses_ekf.csv", rows)
     _write_terrain(simulation, folder / "truth_terrain.npz")
     shutil.rmtree(workshop, ignore_errors=True)
     return folder

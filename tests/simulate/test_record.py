@@ -97,6 +97,12 @@ def test_logs_have_the_columns_of_the_format_and_start_at_rest(folder: Path) -> 
     assert (folder / "triggers.csv").read_text().splitlines()[1].startswith("photo_000.jpg,")
 
 
+def test_the_filters_poses_come_with_the_flight(folder: Path, simulation: Simulation) -> None:
+    estimated = hsvaos.open_flight(folder, poses=folder / "poses_ekf.csv")
+    off = np.linalg.norm(estimated.poses[:, :3, 3] - simulation.poses[:, :3, 3], axis=1)
+    assert 1e-4 < off.max() < 1.0
+
+
 def test_the_true_terrain_is_a_focal_surface(folder: Path, simulation: Simulation) -> None:
     terrain = hsvaos.FocalTerrain.from_file(folder / "truth_terrain.npz")
     node = round((3.0 - terrain.north0_m) / terrain.spacing_m)
