@@ -93,6 +93,7 @@ def place_people(
     *,
     classes: Sequence[str] | None = None,
     tops: Sequence[str] | None = None,
+    places: Sequence[tuple[float, float]] | None = None,
     fresh: bool = False,
     device: str = "cpu",
 ) -> Cast:
@@ -111,6 +112,8 @@ def place_people(
         classes: Class of each person in turn (see `CLASSES`); if None they take turns through all
             classes, and one that this forest cannot give is replaced by what it can.
         tops: Colour of the top of each person in turn; any if None.
+        places: North and east of each person [m], to lay them just there: nothing is then sought
+            or cut, and classes only say who lies under a bush.
         fresh: New ragdolls instead of the pose library.
         device: Warp device.
 
@@ -129,55 +132,46 @@ def place_people(
             raise ValueError(f"classes must be among {', '.join(CLASSES)}, got {name!r}")
     if not count:
         return Cast((), forest, forest.instances, (), (), ())
+    some = poses[np.unique(np.linspace(0, len(poses) - 1, _PHOTOS).round().astype(int))]
+
+    def lay(k: int, north: float, east: float) -> Person:
+        top = tops[k % len(tops)] if tops else None
+        seed = forest.settings.seed
+        return lay_person(k, forest.ground, north, east, seed, top=top, asked=asked[k], fresh=fresh)
+
+    def measured(laid: Sequence[Person]) -> Cast:
+        cast = _with_people(forest, laid, [p.asked == "bush" for p in laid])
+        scene = forest.scene(cast.instances, device=device)
+        shares = measure_people(scene, camera, some, cast.number)
+        return replace(cast, visible=tuple(float("nan") if s is None else s for s in shares))
+
+    if places is not None:
+        if len(places) != count:
+            raise ValueError(f"expected {count} places, one a person, got {len(places)}")
+        return measured([lay(k, *place) for k, place in enumerate(places)])
     picker = _Picker(forest, camera, poses, half_m, device, clearing="open" in asked)
     forest = picker.forest
-    some = poses[np.unique(np.linspace(0, len(poses) - 1, _PHOTOS).round().astype(int))]
-    people: list[Person | None] = [None] * count
-    fractions: list[float] = [float("nan")] * count
+    people = [lay(k, *picker.place(asked[k])) for k in range(count)]
     for attempt in range(_ROUNDS):
-        for k in range(count):
-            if people[k] is None:
-                north, east = picker.place(asked[k])
-                top = tops[k % len(tops)] if tops else None
-                people[k] = lay_person(
-                    k,
-                    forest.ground,
-                    north,
-                    east,
-                    forest.settings.seed,
-                    top=top,
-                    asked=asked[k],
-                    fresh=fresh,
-                )
-        laid = [p for p in people if p is not None]
-        cast = _with_people(forest, laid, [p.asked == "bush" for p in laid])
-        measured = measure_people(
-            forest.scene(cast.instances, device=device), camera, some, cast.number
-        )
-        fractions = [float("nan") if f is None else f for f in measured]
+        cast = measured(people)
         missed = [
             k
             for k in range(count)
-            if not CLASSES[asked[k]][0] <= fractions[k] <= CLASSES[asked[k]][1]
+            if not CLASSES[asked[k]][0] <= cast.visible[k] <= CLASSES[asked[k]][1]
         ]
-        if not missed or len(missed) == _exhausted(picker, asked, missed):
+        if attempt == _ROUNDS - 1 or all(asked[k] in picker.exhausted for k in missed):
             break
-        if attempt < _ROUNDS - 1:
-            for k in missed:
-                picker.free(laid[k].place)
-                people[k] = None
+        for k in missed:
+            picker.free(people[k].place)
+            people[k] = lay(k, *picker.place(asked[k]))
     if missed and classes is not None:
         k = missed[0]
         raise ValueError(
             f"class {asked[k]!r} was not reached in this forest (nearest place: "
-            f"{fractions[k]:.2f} visible, wanted {CLASSES[asked[k]][0]:g} to "
+            f"{cast.visible[k]:.2f} visible, wanted {CLASSES[asked[k]][0]:g} to "
             f"{CLASSES[asked[k]][1]:g}): change density, leaf density or glades"
         )
-    return replace(cast, visible=tuple(fractions))
-
-
-def _exhausted(picker: _Picker, asked: Sequence[str], missed: Sequence[int]) -> int:
-    return sum(1 for k in missed if asked[k] in picker.exhausted)
+    return cast
 
 
 class _Picker:

@@ -72,6 +72,7 @@ class SimulationSettings:
         people: How many.
         classes: Occlusion class of each in turn; None takes turns through what the forest gives.
         clothes: Colour of the top of each in turn; None for any.
+        places: North and east of each person [m], or None to choose them by class.
         stakes: Survey stakes with white plates, on a grid.
         fresh_poses: Let new ragdolls fall (extra `sim`) instead of using the pose library.
         thermal: Grey pictures of the temperature instead of colour.
@@ -86,6 +87,7 @@ class SimulationSettings:
     people: int = 4
     classes: tuple[str, ...] | None = None
     clothes: tuple[str, ...] | None = None
+    places: tuple[tuple[float, float], ...] | None = None
     stakes: int = 0
     fresh_poses: bool = False
     thermal: bool = False

@@ -77,6 +77,7 @@ class Simulation:
             self.settings.people,
             classes=self.settings.classes,
             tops=self.settings.clothes,
+            places=self.settings.places,
             fresh=self.settings.fresh_poses,
             device=self.device,
         )

@@ -271,6 +271,34 @@ def test_a_class_that_cannot_be_had_is_named() -> None:
         Simulation(small_settings(forest=bare, classes=("full",), people=1))
 
 
+def test_people_lie_where_they_are_told_to() -> None:
+    places = ((3.0, -2.0), (-1.5, 4.0))
+    told = Simulation(small_settings(places=places, classes=None))
+    for person, place in zip(told.cast.people, places, strict=True):
+        np.testing.assert_allclose(person.place[:2], place)
+    with pytest.raises(ValueError, match="expected 2 places"):
+        Simulation(small_settings(places=places[:1]))
+
+
+def test_the_demo_flight_is_small_and_whole() -> None:
+    demo = Path(hsvaos.__file__).parent / "data" / "demo_flight"
+    assert sum(p.stat().st_size for p in demo.rglob("*") if p.is_file()) < 2_800_000
+    flight = hsvaos.open_flight(demo)
+    assert len(flight) == 30
+    assert next(iter(flight.images())).shape == (512, 512, 3)
+    truth = json.loads((demo / "truth.json").read_text())
+    assert [p["occlusion"] for p in truth["people"]] == ["full", "half"]
+    # Photos that look down on the hidden person: within 0.15 of the width of the centre.
+    outline = np.array(truth["people"][0]["outline_ned_m"]).mean(axis=0)
+    shown = []
+    for pose, counts in zip(flight.poses, truth["pixels"]["by_photo"], strict=True):
+        pixel = flight.camera.project((outline - pose[:3, 3]) @ pose[:3, :3])
+        if np.abs(pixel - 255.5).max() < 0.15 * 512:
+            shown.append(counts[0][0])
+    assert len(shown) >= 3
+    assert max(shown) == 0
+
+
 def test_an_unknown_device_is_refused() -> None:
     with pytest.raises(ValueError, match="cuda:9"):
         Simulation(small_settings(), device="cuda:9")
