@@ -13,6 +13,7 @@ from hsvaos.simulate.forest import Forest
 from hsvaos.simulate.instances import Instances, Kind
 from hsvaos.simulate.occlusion import (
     CLASSES,
+    LEAST_PIXELS,
     VisibilityMap,
     measure_people,
     smooth,
@@ -23,10 +24,10 @@ from hsvaos.simulate.people import Person, lay_person, stake_mesh
 Array = NDArray[np.float64]
 
 _APART_M = 4.0
-_ROUNDS = 3
-_PHOTOS = 20
-_CLEARINGS_M = (11.0, 14.0, 17.0)
-_AIM = {"full": (0.0, 0.045), "half": (0.36, 0.60), "bush": (0.45, 0.95), "open": (0.93, 1.01)}
+_ROUNDS = 6
+_CLEARINGS_M = (11.0, 14.0, 17.0, 20.0)
+_ROOM_M = 2.0
+_AIM = {"full": (0.0, 0.045), "half": (0.36, 0.60), "bush": (0.45, 0.95), "open": (0.97, 1.01)}
 """Ranges of the map that are tried first; the map is of the ground, the classes of the body."""
 
 
@@ -40,7 +41,7 @@ class Cast:
         instances: The forest with them (and their bushes) in it.
         number: Instance number of each person.
         bush: Whether a bush was put over each.
-        visible: Mean visible fraction of each, measured over some of the photos.
+        visible: Mean visible fraction of each over the photos.
     """
 
     people: tuple[Person, ...]
@@ -132,7 +133,6 @@ def place_people(
             raise ValueError(f"classes must be among {', '.join(CLASSES)}, got {name!r}")
     if not count:
         return Cast((), forest, forest.instances, (), (), ())
-    some = poses[np.unique(np.linspace(0, len(poses) - 1, _PHOTOS).round().astype(int))]
 
     def lay(k: int, north: float, east: float) -> Person:
         top = tops[k % len(tops)] if tops else None
@@ -142,7 +142,8 @@ def place_people(
     def measured(laid: Sequence[Person]) -> Cast:
         cast = _with_people(forest, laid, [p.asked == "bush" for p in laid])
         scene = forest.scene(cast.instances, device=device)
-        shares = measure_people(scene, camera, some, cast.number)
+        bodies = [p.mesh.vertices()[::5].astype(np.float64) + p.place for p in laid]
+        shares = measure_people(scene, camera, poses, cast.number, bodies)
         return replace(cast, visible=tuple(float("nan") if s is None else s for s in shares))
 
     if places is not None:
@@ -166,6 +167,11 @@ def place_people(
             people[k] = lay(k, *picker.place(asked[k]))
     if missed and classes is not None:
         k = missed[0]
+        if np.isnan(cast.visible[k]):
+            raise ValueError(
+                f"class {asked[k]!r} cannot be measured: in photos of {camera.width} x "
+                f"{camera.height} a person has fewer than {LEAST_PIXELS} pixels"
+            )
         raise ValueError(
             f"class {asked[k]!r} was not reached in this forest (nearest place: "
             f"{cast.visible[k]:.2f} visible, wanted {CLASSES[asked[k]][0]:g} to "
@@ -205,7 +211,8 @@ class _Picker:
             north, east = float(self._north.flat[best]), float(self._east.flat[best])
             cut = 0.0
             for radius in _CLEARINGS_M:
-                if smooth(chart, 0.55).flat[best] >= _AIM["open"][0]:
+                # Not a single gap between crowns, but room for a few people.
+                if smooth(chart, _ROOM_M).flat[best] >= _AIM["open"][0]:
                     break
                 self.forest = forest.cleared(north, east, radius, paint=False)
                 chart = look(self.forest)

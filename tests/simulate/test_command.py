@@ -24,6 +24,8 @@ def run(*words: str) -> object:
 def test_a_short_flight_is_written(tmp_path: Path) -> None:
     result = run(
         *SMALL,
+        "--size",
+        "160",
         "--season",
         "snow",
         "--people",
@@ -78,6 +80,7 @@ def test_a_preview_is_one_picture(tmp_path: Path) -> None:
         (["--visible", "2"], "visible must lie"),
         (["--closure", "0"], "closure must lie"),
         (["--device", "cuda:7"], "cuda:7"),
+        (["--size", "48", "--classes", "half"], "fewer than 12 pixels"),
         (["--quality", "300"], "jpeg_quality"),
     ],
 )
