@@ -65,8 +65,9 @@ def simulate_flight(
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise FlightError(f"{folder}: expected a new or empty folder to write to")
     workshop = folder.with_name(f".{folder.name}.simulating")
-    _open_workshop(workshop, settings)
+    _check_workshop(workshop, settings)
     simulation = simulation or Simulation(settings, device)
+    _open_workshop(workshop, settings)
     names = simulation.names()
     _take_photos(simulation, workshop, names, progress)
     counts = [json.loads((workshop / f"{name}.json").read_text())["people"] for name in names]
@@ -103,16 +104,19 @@ def simulate_flight(
     return folder
 
 
-def _open_workshop(workshop: Path, settings: SimulationSettings) -> None:
+def _check_workshop(workshop: Path, settings: SimulationSettings) -> None:
     state = workshop / "settings.json"
+    if state.exists() and state.read_text(encoding="utf-8") != settings.fingerprint():
+        raise FlightError(
+            f"{workshop}: an unfinished simulation of other settings lies here; repeat it with "
+            "those settings, or remove the folder"
+        )
+
+
+def _open_workshop(workshop: Path, settings: SimulationSettings) -> None:
     try:
         workshop.mkdir(parents=True, exist_ok=True)
-        if state.exists() and state.read_text(encoding="utf-8") != settings.fingerprint():
-            raise FlightError(
-                f"{workshop}: an unfinished simulation of other settings lies here; repeat it with "
-                "those settings, or remove the folder"
-            )
-        _write_whole(state, settings.fingerprint().encode())
+        _write_whole(workshop / "settings.json", settings.fingerprint().encode())
     except OSError as error:
         raise FlightError(f"{workshop}: cannot be written ({error})") from None
 
