@@ -65,10 +65,12 @@ def simulate(
     ] = 0.08,
     relief_m: Annotated[
         float,
-        typer.Option(help="Standard deviation of the ground [m].", rich_help_panel=_FOREST),
+        typer.Option(help="Standard deviation of the ground, metres.", rich_help_panel=_FOREST),
     ] = 0.25,
-    sun_elevation: Annotated[float, typer.Option(help="[deg]", rich_help_panel=_FOREST)] = 48.0,
-    sun_azimuth: Annotated[float, typer.Option(help="[deg]", rich_help_panel=_FOREST)] = 150.0,
+    sun_elevation: Annotated[float, typer.Option(help="Degrees.", rich_help_panel=_FOREST)] = 48.0,
+    sun_azimuth: Annotated[
+        float, typer.Option(help="Degrees from north.", rich_help_panel=_FOREST)
+    ] = 150.0,
     cloud: Annotated[
         float, typer.Option(help="0 clear sky, 1 overcast.", rich_help_panel=_FOREST)
     ] = 0.0,
@@ -98,12 +100,14 @@ def simulate(
     height_m: Annotated[
         float, typer.Option(help="Flight height above ground.", rich_help_panel=_FLIGHT)
     ] = 20.0,
-    speed_m_s: Annotated[float, typer.Option(help="[m/s]", rich_help_panel=_FLIGHT)] = 5.0,
+    speed_m_s: Annotated[
+        float, typer.Option(help="Metres a second.", rich_help_panel=_FLIGHT)
+    ] = 5.0,
     wind_m_s: Annotated[
-        float, typer.Option(help="Mean wind [m/s].", rich_help_panel=_FLIGHT)
+        float, typer.Option(help="Mean wind in m/s.", rich_help_panel=_FLIGHT)
     ] = 1.8,
     gusts_m_s: Annotated[
-        float, typer.Option(help="Gusts, standard deviation [m/s].", rich_help_panel=_FLIGHT)
+        float, typer.Option(help="Gusts, standard deviation in m/s.", rich_help_panel=_FLIGHT)
     ] = 0.8,
     imu: Annotated[
         str, typer.Option(help="Inertial sensor.", rich_help_panel=_FLIGHT)
@@ -112,20 +116,20 @@ def simulate(
         str, typer.Option(help="Receiver: single, sbas or rtk.", rich_help_panel=_FLIGHT)
     ] = "sbas",
     gnss_latency_s: Annotated[
-        float, typer.Option(help="Lateness of fixes [s].", rich_help_panel=_FLIGHT)
+        float, typer.Option(help="Lateness of fixes, seconds.", rich_help_panel=_FLIGHT)
     ] = 0.0,
     gnss_outage: Annotated[
         list[str] | None,
-        typer.Option(help="FROM-TO [s] without fixes; repeatable.", rich_help_panel=_FLIGHT),
+        typer.Option(help="FROM-TO in seconds without fixes; repeatable.", rich_help_panel=_FLIGHT),
     ] = None,
     gnss_outliers: Annotated[
         float, typer.Option(help="Share of fixes that jump 15 m.", rich_help_panel=_FLIGHT)
     ] = 0.0,
     size: Annotated[
-        int, typer.Option(help="Width and height of the photos [px].", rich_help_panel=_CAMERA)
+        int, typer.Option(help="Width and height of the photos, pixels.", rich_help_panel=_CAMERA)
     ] = 1024,
     fov: Annotated[
-        float, typer.Option(help="Field of view [deg].", rich_help_panel=_CAMERA)
+        float, typer.Option(help="Field of view, degrees.", rich_help_panel=_CAMERA)
     ] = 90.0,
     distortion: Annotated[
         str, typer.Option(help="k1,k2,p1,p2,k3", rich_help_panel=_CAMERA)
@@ -201,7 +205,7 @@ def _solved(
     """Return the settings with density and leaf density solved for what was asked."""
     from dataclasses import replace
 
-    from hsvaos.simulate.occlusion import solve_closure, solve_visible
+    from hsvaos.simulate.solve import solve_closure, solve_visible
 
     settings = settings.fitted()
     half = max(settings.mission.half_m) + 2.0

@@ -15,12 +15,11 @@ from hsvaos.simulate.occlusion import (
     closure,
     label,
     mean_fraction,
-    solve_closure,
-    solve_visible,
     visibility_map,
 )
 from hsvaos.simulate.planting import glade_circles, stem_places
 from hsvaos.simulate.seasons import SEASONS, season, sun_direction
+from hsvaos.simulate.solve import solve_closure, solve_visible
 from hsvaos.simulate.textures import Tile, draw_atlas
 
 SMALL = ForestSettings(seed=3, half_m=16.0, density=300.0)
