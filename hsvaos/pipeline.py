@@ -10,10 +10,9 @@ from hsvaos.detect.locate import merge_views
 from hsvaos.flight import Flight
 from hsvaos.focusing import choose_surface
 from hsvaos.kernels.device import resolve_device
-from hsvaos.kernels.integrate import Integrator
 from hsvaos.masking import as_bytes, make_masks
 from hsvaos.photos import Progress, load_photos
-from hsvaos.rendering import make_renderer
+from hsvaos.rendering import Renderer, make_integrators
 from hsvaos.result import Result, ViewResult
 from hsvaos.settings import Settings
 from hsvaos.viewing import choose_views
@@ -48,15 +47,15 @@ def run(
     clock = _Clock()
 
     photos = load_photos(flight, settings.photos.scale, where, progress)
-    poses = photos.flight.poses
     clock("decode")
     masks = make_masks(photos, settings, progress)
     clock("mask")
-    plain = Integrator(photos.flight.camera, photos.images, poses, photos.valid)
-    surface, focus_notes = choose_surface(photos.flight, settings.focus, plain, progress)
+    by = make_integrators(photos, masks, settings.mask.method)
+    sharp = (by.plain, by.rarity_map)
+    surface, focus_notes = choose_surface(photos.flight, settings.focus, sharp, progress)
     clock("focus")
     views, shown = choose_views(photos.flight, settings.view, surface)
-    renderer = make_renderer(photos, masks, plain, settings, surface)
+    renderer = Renderer(by, settings, surface)
     main, main_finds = renderer.render(*views[shown], extra=True)
     finds, detections = [], []
     for i, (name, view) in enumerate(views):

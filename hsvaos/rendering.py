@@ -25,8 +25,8 @@ Finds = tuple[Detections, NDArray[np.float64], NDArray[np.float64]]
 
 
 @dataclass(frozen=True, eq=False)
-class Renderer:
-    """Integrators of one flight, one for each way of weighing its pixels.
+class Integrators:
+    """The photos of one flight, once for each way of weighing its pixels.
 
     Args:
         plain: Every valid pixel counts.
@@ -34,8 +34,6 @@ class Renderer:
         rarity: Weighed by rarity.
         hue: Weighed by the hue cut; None for grey photos.
         rarity_map: The rarity weights themselves, integrated as an image.
-        settings: The settings.
-        surface: The focal surface.
     """
 
     plain: Integrator
@@ -43,6 +41,19 @@ class Renderer:
     rarity: Integrator
     hue: Integrator | None
     rarity_map: Integrator
+
+
+@dataclass(frozen=True, eq=False)
+class Renderer:
+    """Renders views onto one focal surface.
+
+    Args:
+        by: The integrators.
+        settings: The settings.
+        surface: The focal surface.
+    """
+
+    by: Integrators
     settings: Settings
     surface: FocalSurface
 
@@ -59,20 +70,20 @@ class Renderer:
         Raises:
             FlightError: If the view sees nothing, or every pixel of it is masked.
         """
-        mean_weight, rays = self._integrate(self.rarity_map, view)
+        mean_weight, rays = self._integrate(self.by.rarity_map, view)
         if not (rays > 0.0).any():
             raise FlightError(
                 f"view {name}: no photo sees the focal surface there; expected a surface below "
                 f"the cameras and within their view"
             )
-        image, footprint = self._integrate(self.chosen, view)
+        image, footprint = self._integrate(self.by.chosen, view)
         if not (footprint > 0.0).any():
             raise FlightError(
                 f"view {name}: every pixel is masked (mask {self.settings.mask.method}); use fewer "
                 f"sigmas, another --mask, or check the user mask"
             )
         rarity_map = mean_weight[..., 0]
-        hits = focal_points(view, self.surface, device=self.plain.device).numpy()
+        hits = focal_points(view, self.surface, device=self.by.plain.device).numpy()
         hits = hits.reshape(view.height, view.width, 4)
         found = self._find(view, hits, rarity_map, rays)
         places, variances = box_places(found, hits, view)
@@ -100,25 +111,21 @@ class Renderer:
         return find_persons(rarity_map, rays, gsd, detect)
 
     def _others(self, view: VirtualCamera) -> dict[str, tuple[Any, Any]]:
-        named = {"plain": self.plain, "hue": self.hue, "rarity": self.rarity}
+        named = {"plain": self.by.plain, "hue": self.by.hue, "rarity": self.by.rarity}
         return {
             name: self._integrate(integrator, view)
             for name, integrator in named.items()
-            if integrator is not None and integrator is not self.chosen
+            if integrator is not None and integrator is not self.by.chosen
         }
 
 
-def make_renderer(
-    photos: Photos, masks: Masks, plain: Integrator, settings: Settings, surface: FocalSurface
-) -> Renderer:
+def make_integrators(photos: Photos, masks: Masks, method: str) -> Integrators:
     """Return the integrators of a flight.
 
     Args:
         photos: The photos.
         masks: Their weights.
-        plain: Integrator of the plain photos.
-        settings: The settings.
-        surface: The focal surface.
+        method: Name of the chosen mask.
     """
     camera, poses = photos.flight.camera, photos.flight.poses
 
@@ -130,13 +137,13 @@ def make_renderer(
         hue = weighed(masks.brightened, masks.hue)
     elif masks.hue is not None:
         hue = weighed(photos.images, masks.hue, masks.gains)
+    plain = weighed(photos.images, photos.valid)
     rarity = weighed(photos.images, masks.rarity, masks.gains)
     by_name = {"hue": hue, "rarity": rarity}
     if masks.anomaly is not None:
         by_name["anomaly"] = weighed(photos.images, masks.anomaly, masks.gains)
-    chosen = by_name.get(settings.mask.method) or plain
-    rarity_map = weighed(masks.rarity, photos.valid)
-    return Renderer(plain, chosen, rarity, hue, rarity_map, settings, surface)
+    chosen = by_name.get(method) or plain
+    return Integrators(plain, chosen, rarity, hue, weighed(masks.rarity, photos.valid))
 
 
 def sampling_distance(view: VirtualCamera, hits: NDArray[np.float32]) -> float:

@@ -30,7 +30,7 @@ ALLOWED = {
     "rendering": BASE | {"photos", "masking", "kernels", "detect", "result"},
     "pipeline": BASE
     | {"photos", "masking", "kernels", "detect", "result", "rendering", "focusing", "viewing"},
-    "sweeping": BASE | {"photos", "masking", "kernels", "rendering", "viewing"},
+    "sweeping": BASE | {"photos", "masking", "kernels", "rendering", "viewing", "focusing"},
     "demo": BASE,
     "report": BASE | {"detect", "result", "sweeping"},
 }

@@ -65,9 +65,10 @@ def _gather_kernel(pixel: Any, weight: Any, value: Any) -> Any:
             place = wp.vec3(point[0], point[1], point[2])
             for k in range(order.shape[0]):
                 n = order[k]
-                away = place - poses[n].centre
+                pose = poses[n]
+                away = place - pose.centre
                 if away[0] * away[0] + away[1] * away[1] <= aperture2:
-                    at = project(poses[n].rotation * away, lens)
+                    at = project(pose.rotation * away, lens)
                     u, v = at[0], at[1]
                     # a photo covers the area of its pixels; its edge pixels reach to the border
                     if (
@@ -98,14 +99,16 @@ def _gather_kernel(pixel: Any, weight: Any, value: Any) -> Any:
                             wb *= float(weights[n * weight_step, b]) * weight_unit
                             wc *= float(weights[n * weight_step, c]) * weight_unit
                             wd *= float(weights[n * weight_step, d]) * weight_unit
-                        here = (
-                            as_value(images[n, a]) * wa
-                            + as_value(images[n, b]) * wb
-                            + as_value(images[n, c]) * wc
-                            + as_value(images[n, d]) * wd
-                        )
-                        total += times_gain(here, poses[n].gain)
-                        sum_of_weights += wa + wb + wc + wd
+                        share = wa + wb + wc + wd
+                        if share > 0.0:  # most rays end on masked leaves: spare their pixels
+                            here = (
+                                as_value(images[n, a]) * wa
+                                + as_value(images[n, b]) * wb
+                                + as_value(images[n, c]) * wc
+                                + as_value(images[n, d]) * wd
+                            )
+                            total += times_gain(here, pose.gain)
+                            sum_of_weights += share
         if sum_of_weights > 0.0:
             total = total / sum_of_weights
         image[i] = total
