@@ -67,7 +67,9 @@ def run(
         if progress is not None:
             progress("integrating", i + 1, len(views))
     clock("integrate and detect")
-    persons = merge_views(finds, settings.detect.person_m, photos.flight.origin)
+    detect = settings.detect
+    least = detect.min_z * detect.min_agreement
+    persons = merge_views(finds, detect.person_m, least, photos.flight.origin)
 
     frames = photos.flight.frames
     names = [frame.name for frame in frames]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hsvaos.camera import VirtualCamera
 from hsvaos.detect.anomaly import find_persons
 from hsvaos.detect.detections import Detections
-from hsvaos.detect.locate import box_places
+from hsvaos.detect.locate import ViewFinds, box_places
 from hsvaos.flight import FlightError
 from hsvaos.kernels.integrate import Integrator
 from hsvaos.kernels.rays import focal_points
@@ -20,8 +20,6 @@ from hsvaos.photos import Photos
 from hsvaos.result import ViewResult
 from hsvaos.settings import Settings
 from hsvaos.surface import FocalSurface
-
-Finds = tuple[Detections, NDArray[np.float64], NDArray[np.float64]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +57,7 @@ class Renderer:
 
     def render(
         self, name: str, view: VirtualCamera, extra: bool = False
-    ) -> tuple[ViewResult, Finds]:
+    ) -> tuple[ViewResult, ViewFinds]:
         """Render a view and look for finds in it.
 
         Args:
@@ -89,7 +87,7 @@ class Renderer:
         places, variances = box_places(found, hits, view)
         others = self._others(view) if extra else {}
         result = ViewResult(name, view, image, footprint, rarity_map, rays, found, others)
-        return result, (found, places, variances)
+        return result, ViewFinds(view, found, places, variances)
 
     def _integrate(self, integrator: Integrator, view: VirtualCamera) -> tuple[Any, Any]:
         image, footprint = integrator.integrate(

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hsvaos import Camera, Detections, FocalPlane, Origin, VirtualCamera
 from hsvaos.detect.anomaly import find_persons, local_z
-from hsvaos.detect.locate import box_places, merge_views
+from hsvaos.detect.locate import ViewFinds, box_places, merge_views
 from hsvaos.kernels.rays import focal_points
 from hsvaos.settings import DetectSettings
 
@@ -97,11 +97,11 @@ def test_boxes_of_two_views_become_one_person_at_its_place() -> None:
         u, v = view.project(place)
         found = detections((u - 4, v - 2, u + 4, v + 2), scores=[score])
         hits = focal_points(view, FocalPlane(0.0)).numpy().reshape(201, 201, 4)
-        finds.append((found, *box_places(found, hits, view)))
-    (person,) = merge_views(finds, 1.8, Origin(48.0, 14.0, 300.0))
+        finds.append(ViewFinds(view, found, *box_places(found, hits, view)))
+    (person,) = merge_views(finds, 1.8, 3.0, Origin(48.0, 14.0, 300.0))
     assert (person.north_m, person.east_m) == pytest.approx((3.0, -2.0), abs=0.15)
     assert person.views == 2
-    assert person.score == 8.0
+    assert person.score == 6.0
     assert 0.2 < person.std_m < 0.8
     assert person.lat_deg == pytest.approx(48.0 + 3.0 / 111200, abs=1e-6)
     assert person.lon_deg == pytest.approx(14.0 - 2.0 / 74600, abs=1e-6)
@@ -114,11 +114,28 @@ def test_far_finds_stay_apart_and_boxes_without_ground_are_dropped() -> None:
     found = detections(
         (10, 10, 14, 14), (50, 10, 54, 14), (20, 80, 24, 84), scores=[7.0, 9.0, 20.0]
     )
-    persons = merge_views([(found, *box_places(found, hits, view))], 1.8, None)
+    persons = merge_views([ViewFinds(view, found, *box_places(found, hits, view))], 1.8, 3.0, None)
     assert [p.score for p in persons] == [9.0, 7.0]
     assert persons[0].north_m == pytest.approx(10.0 - 1.2)
     assert persons[0].east_m == pytest.approx(5.2)
     assert persons[0].lat_deg is None
+
+
+def test_what_other_views_do_not_find_scores_less() -> None:
+    camera = Camera.from_fov(201, 201, 90.0)
+    finds = []
+    for north in (0.0, 3.0, 6.0, 100.0):  # the last one does not hold the place
+        view = VirtualCamera(camera, looking_down(north, 0.0))
+        hits = focal_points(view, FocalPlane(0.0)).numpy().reshape(201, 201, 4)
+        u, v = view.project([2.0, 1.0, 0.0])
+        seen = north == 3.0
+        found = detections((u - 2, v - 2, u + 2, v + 2), scores=[9.0]) if seen else None
+        found = found or Detections.none()
+        finds.append(ViewFinds(view, found, *box_places(found, hits, view)))
+    (person,) = merge_views(finds, 1.8, 2.0, None)
+    assert person.score == pytest.approx(3.0)
+    assert person.views == 1
+    assert merge_views(finds, 1.8, 3.5, None) == ()
 
 
 def test_lengths_that_differ_are_refused() -> None:
