@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -106,7 +106,8 @@ class Renderer:
         if not detect.enabled:
             return Detections.none()
         gsd = sampling_distance(view, hits)
-        return find_persons(rarity_map, rays, gsd, detect)
+        enough = min(detect.min_rays, 0.5 * len(self.by.plain))
+        return find_persons(rarity_map, rays, gsd, replace(detect, min_rays=enough))
 
     def _others(self, view: VirtualCamera) -> dict[str, tuple[Any, Any]]:
         named = {"plain": self.by.plain, "hue": self.by.hue, "rarity": self.by.rarity}

@@ -135,7 +135,7 @@ class DetectSettings:
         enabled: Whether to look for finds.
         min_z: Local z of the rarity map from which a peak is a find.
         person_m: Length of a person, the size of a find's surround and of its box [m].
-        min_rays: Rays a pixel needs to be judged.
+        min_rays: Rays a pixel needs to be judged; half the number of photos is always enough.
         max_finds: Strongest finds kept in a view.
         min_agreement: Share of min_z that a person's score, the mean over all views that hold its
             place, must reach.
@@ -144,7 +144,7 @@ class DetectSettings:
     enabled: bool = True
     min_z: float = 6.0
     person_m: float = 1.8
-    min_rays: float = 2.0
+    min_rays: float = 6.0
     max_finds: int = 50
     min_agreement: float = 0.5
 
