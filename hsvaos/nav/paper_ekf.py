@@ -41,11 +41,18 @@ class PaperEkf:
     `bias_random_walk=True` the IMU model's walks are added. Only the rows of z that arrived are
     used. No gates, no latencies, no lever arm: that is `ErrorStateEkf`.
 
+    One thing is added to the print. Bringing the quaternion back to length one is a step like any
+    other, and the covariance must take it too, P' = N P N' with N = 1 - q q'. Without it part of
+    the uncertainty of heading, after the first large correction, stands for the length of q, which
+    scales C(q) and with it gravity: the barometer then corrects the heading, wrongly, and the
+    filter is sure of it. `project=False` gives the print to the letter.
+
     Args:
         imu: Noise of the inertial sensor (Q).
         gnss: Noise of the receiver where the log states none (R).
         baro: Noise of the barometer (R).
         bias_random_walk: Whether the biases may drift.
+        project: Whether the covariance follows the quaternion's return to length one.
         gravity: Acceleration of gravity [m/s^2].
     """
 
@@ -56,10 +63,12 @@ class PaperEkf:
         baro: BaroModel | None = None,
         *,
         bias_random_walk: bool = False,
+        project: bool = True,
         gravity: float = STANDARD_GRAVITY,
     ) -> None:
         self.imu, self.gnss, self.baro = imu, gnss, baro
         self.bias_random_walk, self.gravity = bias_random_walk, gravity
+        self.project = project
         self.x: Array = np.zeros(16)
         self.x[6] = 1.0
         self.P: Array = np.eye(16)
@@ -162,8 +171,13 @@ class PaperEkf:
         innovation = z[rows] - self.x[at]
         K = np.linalg.solve(S, PH.T).T
         self.x = self.x + K @ innovation
-        self.x[Q16] /= np.sqrt(self.x[Q16] @ self.x[Q16])
         self.P = self.P - K @ PH.T
+        q = self.x[Q16] / np.sqrt(self.x[Q16] @ self.x[Q16])
+        self.x[Q16] = q
+        if self.project:
+            N = np.eye(4) - np.outer(q, q)
+            self.P[Q16] = N @ self.P[Q16]
+            self.P[:, Q16] = self.P[:, Q16] @ N
         self.P = 0.5 * (self.P + self.P.T)
         return innovation, S
 
