@@ -11,6 +11,7 @@ import numpy as np
 
 from hsvaos.flight import Flight
 from hsvaos.nav import attitude
+from hsvaos.nav.align import moved
 from hsvaos.nav.checks import check_log
 from hsvaos.nav.error_state_ekf import ErrorStateEkf
 from hsvaos.nav.fit import Models, fit_models
@@ -112,17 +113,11 @@ def _error_state(
         return states
     out = smooth_states(states)
     for _ in range(_PASSES):
-        turned = out.rotation[0] @ attitude.matrix(start.quaternion).T
-        if float(np.abs(attitude.small_turn(turned)).max()) < np.radians(0.25):
+        before, start = start.quaternion, moved(models.prior, start, out)
+        turn = attitude.log(attitude.multiply(start.quaternion, attitude.conjugate(before)))
+        if float(np.abs(turn).max()) < np.radians(0.25):
             break
         # linearised that far off: worth another pass from where the last one leads
-        start = start.replace(
-            position=out.position[0],
-            velocity=out.velocity[0],
-            quaternion=out.quaternion[0],
-            gyro_bias=out.gyro_bias[0],
-            accel_bias=out.accel_bias[0],
-        )
         again = ekf.run(models.log, start, progress=report("filter"))
         out = replace(smooth_states(again), notes=states.notes)
     return out
