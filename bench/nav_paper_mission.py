@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import platform
+import re
 import shlex
 import sys
 from collections.abc import Callable
@@ -334,7 +335,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("-o", type=Path, default=Path(__file__).parent / "NAV.md")
+    parser.add_argument("--only", default="", help="case/filter to match: print its rows alone")
     arguments = parser.parse_args()
+    if arguments.only:
+        print_rows(arguments.only, arguments.seeds)
+        return
     results = {name: {f: [] for f in case.filters} for name, case in CASES.items()}
     truths = [Lawnmower().fly(seed)[0] for seed in range(arguments.seeds)]
     with Progress() as progress:
@@ -348,6 +353,20 @@ def main() -> None:
                     results[name][label].append((e, thin(states) if keep else None))
                 progress.advance(bar)
     arguments.o.write_text(report(results, truths, arguments.seeds), encoding="utf-8")
+
+
+def print_rows(pattern: str, seeds: int) -> None:
+    """Fly only the filters whose "case/filter" matches, and print their rows of the tables."""
+    for name, case in CASES.items():
+        wanted = tuple(f for f in case.filters if re.search(pattern, f"{name}/{f}"))
+        if not wanted:
+            continue
+        some = replace(case, filters=wanted)
+        errors_of = [
+            {label: e for label, (e, _) in trial(some, seed).items()} for seed in range(seeds)
+        ]
+        for label in wanted:
+            print(f"| {case.title} | {label} | {cells(np.array([e[label] for e in errors_of]))} |")
 
 
 def thin(states: States) -> States:
