@@ -27,6 +27,11 @@ if TYPE_CHECKING:
     from hsvaos.kernels.rarity import rarity_weights as rarity_weights
     from hsvaos.kernels.sweep import best_focus as best_focus
     from hsvaos.kernels.sweep import focus_measure as focus_measure
+    from hsvaos.nav.error_state_ekf import ErrorStateEkf as ErrorStateEkf
+    from hsvaos.nav.estimate import estimate_trajectory as estimate_trajectory
+    from hsvaos.nav.paper_ekf import PaperEkf as PaperEkf
+    from hsvaos.nav.smoother import smooth as smooth
+    from hsvaos.nav.trajectory import Trajectory as Trajectory
     from hsvaos.pipeline import run as run
     from hsvaos.result import Result as Result
     from hsvaos.settings import Settings as Settings
@@ -57,6 +62,11 @@ _HOME = {
     "Frame": "hsvaos.flight",
     "Origin": "hsvaos.flight",
     "open_flight": "hsvaos.formats.open",
+    "ErrorStateEkf": "hsvaos.nav.error_state_ekf",
+    "PaperEkf": "hsvaos.nav.paper_ekf",
+    "Trajectory": "hsvaos.nav.trajectory",
+    "estimate_trajectory": "hsvaos.nav.estimate",
+    "smooth": "hsvaos.nav.smoother",
     "FocalPlane": "hsvaos.surface",
     "FocalTerrain": "hsvaos.surface",
 }
