@@ -11,7 +11,7 @@ from hsvaos.flight import Flight
 from hsvaos.focusing import choose_surface
 from hsvaos.kernels.device import resolve_device
 from hsvaos.masking import as_bytes, make_masks
-from hsvaos.photos import Progress, load_photos
+from hsvaos.photos import Progress, load_photos, with_poses
 from hsvaos.rendering import Renderer, make_integrators
 from hsvaos.result import Result, ViewResult
 from hsvaos.settings import Settings
@@ -29,7 +29,8 @@ def run(
     """See through the canopy: mask, integrate, detect, locate.
 
     Args:
-        flight: Photos with poses; see `hsvaos.open_flight`.
+        flight: Photos with poses, or with a sensor log from which they are estimated; see
+            `hsvaos.open_flight`.
         settings: What to do; the defaults are those of the command line.
         device: "cpu", "cuda:0", ...
         progress: Called with stage, steps done and steps in all.
@@ -46,6 +47,8 @@ def run(
     where = resolve_device(device)
     clock = _Clock()
 
+    flight = with_poses(flight, progress)
+    clock("navigate")
     photos = load_photos(flight, settings.photos.scale, where, progress)
     clock("decode")
     masks = make_masks(photos, settings, progress)

@@ -14,7 +14,7 @@ from hsvaos.focusing import clearest_focus
 from hsvaos.kernels.device import resolve_device
 from hsvaos.kernels.sweep import MEASURES, focus_measure
 from hsvaos.masking import make_masks
-from hsvaos.photos import Progress, load_photos
+from hsvaos.photos import Progress, load_photos, with_poses
 from hsvaos.rendering import make_integrators
 from hsvaos.settings import Settings
 from hsvaos.viewing import sized_view
@@ -103,6 +103,7 @@ def sweep_flight(
             f"{first_m!r} to {last_m!r} in {steps}"
         )
     settings = settings or Settings()
+    flight = with_poses(flight, progress)
     photos = load_photos(flight, settings.photos.scale, resolve_device(device), progress)
     masks = make_masks(photos, settings, progress)
     by = make_integrators(photos, masks, settings.mask.method)
