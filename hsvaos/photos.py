@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hsvaos.flight import Flight, FlightError, Frame
 from hsvaos.formats.images import photos_ahead
-from hsvaos.kernels.pixels import scalar_type
+from hsvaos.kernels.arrays import scalar_type
 from hsvaos.nav.photos import poses_at_photos
 
 Progress = Callable[[str, int, int], None]

@@ -9,19 +9,18 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from hsvaos.camera import Camera, VirtualCamera, check_pose
-from hsvaos.kernels.device import launch
-from hsvaos.kernels.lens import Lens, lens, project
-from hsvaos.kernels.pixels import (
+from hsvaos.kernels.arrays import (
     Stack,
-    as_value,
     check_gains,
     device_of,
     like_input,
     output_array,
     pixel_view,
-    times_gain,
     to_array,
 )
+from hsvaos.kernels.device import launch
+from hsvaos.kernels.lens import Lens, lens, project
+from hsvaos.kernels.pixels import as_value, times_gain
 from hsvaos.kernels.rays import focal_points
 from hsvaos.surface import FocalPlane, FocalSurface, FocalTerrain
 

@@ -14,11 +14,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from hsvaos.kernels.device import bands, launch
-from hsvaos.kernels.lab import CURVE, GAMMA, gamma_table, lab_curve_table, lab_pixel
-from hsvaos.kernels.pixels import (
+from hsvaos.kernels.arrays import (
     Stack,
-    as_vec3,
     device_of,
     like_input,
     output_array,
@@ -27,6 +24,9 @@ from hsvaos.kernels.pixels import (
     scalar_type,
     valid_array,
 )
+from hsvaos.kernels.device import bands, launch
+from hsvaos.kernels.lab import CURVE, GAMMA, gamma_table, lab_curve_table, lab_pixel
+from hsvaos.kernels.pixels import as_vec3
 
 wp.set_module_options({"enable_backward": False})
 

@@ -6,8 +6,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
+from hsvaos.kernels.arrays import device_of, to_array
 from hsvaos.kernels.device import ROW_GRAIN, launch
-from hsvaos.kernels.pixels import device_of, to_array
 
 wp.set_module_options({"enable_backward": False})
 
