@@ -9,7 +9,7 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "hsvaos"
 
-BASE = {"camera", "surface", "flight", "settings", "geodesy", "hue_statistics"}
+BASE = {"camera", "surface", "flight", "settings", "geodesy", "hue_statistics", "rarity_model"}
 ALLOWED = {
     "camera": set(),
     "surface": {"flight"},
@@ -17,6 +17,7 @@ ALLOWED = {
     "settings": set(),
     "geodesy": {"flight"},
     "hue_statistics": set(),
+    "rarity_model": set(),
     "reference": {"camera", "surface"},
     "kernels": BASE,
     "nav": {"flight", "geodesy", "camera", "settings", "nav"},
