@@ -1,12 +1,17 @@
 from __future__ import annotations
 
 import importlib
+import os
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from hsvaos.kernels.device import quiet_start
+# One core for everyone: BLAS threads only spin on 15 x 15 matrices.
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+from hsvaos.kernels.device import quiet_start  # noqa: E402 - after the line above
 
 quiet_start()
 

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hsvaos.nav.command import nav
+
 if TYPE_CHECKING:
     from hsvaos.flight import Flight
     from hsvaos.result import Result
@@ -21,6 +23,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+
+app.command()(nav)
 
 
 class Mask(StrEnum):

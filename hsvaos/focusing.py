@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,7 @@ _WEAK = 0.5
 def choose_surface(
     flight: Flight,
     settings: FocusSettings,
-    integrator: Integrator,
+    integrators: Sequence[Integrator],
     progress: Progress | None = None,
 ) -> tuple[FocalSurface, tuple[str, ...]]:
     """Return the focal surface of a run, and what the user should know of the choice.
@@ -38,7 +39,7 @@ def choose_surface(
     Args:
         flight: The flight, with poses.
         settings: What is asked for.
-        integrator: Plain photos, for autofocus.
+        integrators: What autofocus looks at, see `autofocus`.
         progress: Told of every plane of an autofocus.
 
     Raises:
@@ -58,7 +59,7 @@ def choose_surface(
     elif flight.ground_down_m is not None and not settings.autofocus:
         surface = FocalPlane(flight.ground_down_m)
     else:
-        down, note = autofocus(flight, settings, integrator, progress)
+        down, note = autofocus(flight, settings, integrators, progress)
         if not settings.autofocus:
             note += "; the flight does not say where its ground is: give --focus-down or --terrain"
         surface = FocalPlane(down)
@@ -70,7 +71,7 @@ def choose_surface(
 def autofocus(
     flight: Flight,
     settings: FocusSettings,
-    integrator: Integrator,
+    integrators: Sequence[Integrator],
     progress: Progress | None = None,
 ) -> tuple[float, str]:
     """Search the plane where small rare things are sharpest, from the centre frame's view.
@@ -78,7 +79,9 @@ def autofocus(
     Args:
         flight: The flight.
         settings: Range and number of planes.
-        integrator: Plain photos.
+        integrators: What to look at, plain photos and their rarity weights: the one whose focus
+            curve has the more prominent peak decides. Under thin crowns the photos themselves
+            show small things best, under closed ones only what is rare gets through.
         progress: Told of every batch of planes.
 
     Returns:
@@ -89,18 +92,30 @@ def autofocus(
     """
     downs = search_planes(flight, settings)
     view = sized_view(flight, flight.centre_index, _SEARCH_PX)
-    curve = np.zeros(len(downs))
+    curves = np.zeros((len(integrators), len(downs)))
     for start in range(0, len(downs), _PLANES_AT_ONCE):
         part = slice(start, start + _PLANES_AT_ONCE)
-        stack, footprint = integrator.sweep(view, downs[part])
-        curve[part] = focus_measure(stack, footprint)
+        for curve, integrator in zip(curves, integrators, strict=True):
+            curve[part] = focus_measure(*integrator.sweep(view, downs[part]))
         if progress is not None:
             progress("searching focus", min(part.stop, len(downs)), len(downs))
-    down, prominence = best_focus(downs, curve)
+    down, prominence = clearest_focus(downs, curves)
     note = f"autofocus: focal plane at down = {down:.2f} m"
     if prominence < _WEAK:
         note += f" (a weak peak, {100 * prominence:.0f} % above its valleys: check it by a sweep)"
     return down, note
+
+
+def clearest_focus(
+    downs_m: NDArray[np.float64], curves: Iterable[NDArray[np.float64]]
+) -> tuple[float, float]:
+    """Return depth and prominence of the most prominent peak of several focus curves.
+
+    Args:
+        downs_m: Shape (D,), depths of the planes [m].
+        curves: Shape (D,) each.
+    """
+    return max((best_focus(downs_m, curve) for curve in curves), key=lambda found: found[1])
 
 
 def search_planes(flight: Flight, settings: FocusSettings) -> NDArray[np.float64]:

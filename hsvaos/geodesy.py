@@ -107,6 +107,17 @@ def ned_from_geodetic(
     return offset @ _ned_from_ecef_rotation(origin).T
 
 
+def ned_from_llh(places: ArrayLike, origin: Origin) -> Array:
+    """Return local north, east, down of rows of latitude [deg], longitude [deg] and height [m].
+
+    Args:
+        places: Shape (..., 3).
+        origin: Where the local frame is tied to the Earth.
+    """
+    llh = np.asarray(places, dtype=np.float64)
+    return ned_from_geodetic(llh[..., 0], llh[..., 1], llh[..., 2], origin)
+
+
 def geodetic_from_ned(ned_m: ArrayLike, origin: Origin) -> tuple[Array, Array, Array]:
     """Return latitude, longitude and height of local points.
 

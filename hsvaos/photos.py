@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from hsvaos.flight import Flight, FlightError, Frame
 from hsvaos.formats.images import photos_ahead
-from hsvaos.kernels.pixels import scalar_type
+from hsvaos.kernels.arrays import scalar_type
+from hsvaos.nav.photos import poses_at_photos
 
 Progress = Callable[[str, int, int], None]
 """Called with a stage's name, steps done and steps in all."""
@@ -49,6 +50,26 @@ class Photos:
         if self.valid is None:
             return np.full(self.images.shape[1:3], 255, np.uint8)
         return self.valid if self.valid.ndim == 2 else np.asarray(self.valid[index])
+
+
+def with_poses(flight: Flight, progress: Progress | None = None) -> Flight:
+    """Return the flight with poses, estimated from its sensor log where it has none.
+
+    Args:
+        flight: The flight.
+        progress: Told of the estimation.
+
+    Raises:
+        FlightError: If it has neither poses nor a usable sensor log.
+    """
+    if flight.has_poses:
+        return flight
+
+    def report(stage: str, share: float) -> None:
+        if progress is not None:
+            progress(f"estimating poses: {stage}", round(100.0 * share), 100)
+
+    return poses_at_photos(flight, progress=report)
 
 
 def load_photos(

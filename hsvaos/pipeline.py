@@ -10,10 +10,9 @@ from hsvaos.detect.locate import merge_views
 from hsvaos.flight import Flight
 from hsvaos.focusing import choose_surface
 from hsvaos.kernels.device import resolve_device
-from hsvaos.kernels.integrate import Integrator
 from hsvaos.masking import as_bytes, make_masks
-from hsvaos.photos import Progress, load_photos
-from hsvaos.rendering import make_renderer
+from hsvaos.photos import Progress, load_photos, with_poses
+from hsvaos.rendering import Renderer, make_integrators
 from hsvaos.result import Result, ViewResult
 from hsvaos.settings import Settings
 from hsvaos.viewing import choose_views
@@ -30,7 +29,8 @@ def run(
     """See through the canopy: mask, integrate, detect, locate.
 
     Args:
-        flight: Photos with poses; see `hsvaos.open_flight`.
+        flight: Photos with poses, or with a sensor log from which they are estimated; see
+            `hsvaos.open_flight`.
         settings: What to do; the defaults are those of the command line.
         device: "cpu", "cuda:0", ...
         progress: Called with stage, steps done and steps in all.
@@ -47,16 +47,18 @@ def run(
     where = resolve_device(device)
     clock = _Clock()
 
+    flight = with_poses(flight, progress)
+    clock("navigate")
     photos = load_photos(flight, settings.photos.scale, where, progress)
-    poses = photos.flight.poses
     clock("decode")
     masks = make_masks(photos, settings, progress)
     clock("mask")
-    plain = Integrator(photos.flight.camera, photos.images, poses, photos.valid)
-    surface, focus_notes = choose_surface(photos.flight, settings.focus, plain, progress)
+    by = make_integrators(photos, masks, settings.mask.method)
+    sharp = (by.plain, by.rarity_map)
+    surface, focus_notes = choose_surface(photos.flight, settings.focus, sharp, progress)
     clock("focus")
     views, shown = choose_views(photos.flight, settings.view, surface)
-    renderer = make_renderer(photos, masks, plain, settings, surface)
+    renderer = Renderer(by, settings, surface)
     main, main_finds = renderer.render(*views[shown], extra=True)
     finds, detections = [], []
     for i, (name, view) in enumerate(views):
@@ -68,7 +70,9 @@ def run(
         if progress is not None:
             progress("integrating", i + 1, len(views))
     clock("integrate and detect")
-    persons = merge_views(finds, settings.detect.person_m, photos.flight.origin)
+    detect = settings.detect
+    least = detect.min_z * detect.min_agreement
+    persons = merge_views(finds, detect.person_m, least, photos.flight.origin)
 
     frames = photos.flight.frames
     names = [frame.name for frame in frames]

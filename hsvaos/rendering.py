@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hsvaos.camera import VirtualCamera
 from hsvaos.detect.anomaly import find_persons
 from hsvaos.detect.detections import Detections
-from hsvaos.detect.locate import box_places
+from hsvaos.detect.locate import ViewFinds, box_places
 from hsvaos.flight import FlightError
 from hsvaos.kernels.integrate import Integrator
 from hsvaos.kernels.rays import focal_points
@@ -21,12 +21,10 @@ from hsvaos.result import ViewResult
 from hsvaos.settings import Settings
 from hsvaos.surface import FocalSurface
 
-Finds = tuple[Detections, NDArray[np.float64], NDArray[np.float64]]
-
 
 @dataclass(frozen=True, eq=False)
-class Renderer:
-    """Integrators of one flight, one for each way of weighing its pixels.
+class Integrators:
+    """The photos of one flight, once for each way of weighing its pixels.
 
     Args:
         plain: Every valid pixel counts.
@@ -34,8 +32,6 @@ class Renderer:
         rarity: Weighed by rarity.
         hue: Weighed by the hue cut; None for grey photos.
         rarity_map: The rarity weights themselves, integrated as an image.
-        settings: The settings.
-        surface: The focal surface.
     """
 
     plain: Integrator
@@ -43,12 +39,25 @@ class Renderer:
     rarity: Integrator
     hue: Integrator | None
     rarity_map: Integrator
+
+
+@dataclass(frozen=True, eq=False)
+class Renderer:
+    """Renders views onto one focal surface.
+
+    Args:
+        by: The integrators.
+        settings: The settings.
+        surface: The focal surface.
+    """
+
+    by: Integrators
     settings: Settings
     surface: FocalSurface
 
     def render(
         self, name: str, view: VirtualCamera, extra: bool = False
-    ) -> tuple[ViewResult, Finds]:
+    ) -> tuple[ViewResult, ViewFinds]:
         """Render a view and look for finds in it.
 
         Args:
@@ -59,26 +68,26 @@ class Renderer:
         Raises:
             FlightError: If the view sees nothing, or every pixel of it is masked.
         """
-        mean_weight, rays = self._integrate(self.rarity_map, view)
+        mean_weight, rays = self._integrate(self.by.rarity_map, view)
         if not (rays > 0.0).any():
             raise FlightError(
                 f"view {name}: no photo sees the focal surface there; expected a surface below "
                 f"the cameras and within their view"
             )
-        image, footprint = self._integrate(self.chosen, view)
+        image, footprint = self._integrate(self.by.chosen, view)
         if not (footprint > 0.0).any():
             raise FlightError(
                 f"view {name}: every pixel is masked (mask {self.settings.mask.method}); use fewer "
                 f"sigmas, another --mask, or check the user mask"
             )
         rarity_map = mean_weight[..., 0]
-        hits = focal_points(view, self.surface, device=self.plain.device).numpy()
+        hits = focal_points(view, self.surface, device=self.by.plain.device).numpy()
         hits = hits.reshape(view.height, view.width, 4)
         found = self._find(view, hits, rarity_map, rays)
         places, variances = box_places(found, hits, view)
         others = self._others(view) if extra else {}
         result = ViewResult(name, view, image, footprint, rarity_map, rays, found, others)
-        return result, (found, places, variances)
+        return result, ViewFinds(view, found, places, variances)
 
     def _integrate(self, integrator: Integrator, view: VirtualCamera) -> tuple[Any, Any]:
         image, footprint = integrator.integrate(
@@ -97,28 +106,25 @@ class Renderer:
         if not detect.enabled:
             return Detections.none()
         gsd = sampling_distance(view, hits)
-        return find_persons(rarity_map, rays, gsd, detect)
+        enough = min(detect.min_rays, 0.5 * len(self.by.plain))
+        return find_persons(rarity_map, rays, gsd, replace(detect, min_rays=enough))
 
     def _others(self, view: VirtualCamera) -> dict[str, tuple[Any, Any]]:
-        named = {"plain": self.plain, "hue": self.hue, "rarity": self.rarity}
+        named = {"plain": self.by.plain, "hue": self.by.hue, "rarity": self.by.rarity}
         return {
             name: self._integrate(integrator, view)
             for name, integrator in named.items()
-            if integrator is not None and integrator is not self.chosen
+            if integrator is not None and integrator is not self.by.chosen
         }
 
 
-def make_renderer(
-    photos: Photos, masks: Masks, plain: Integrator, settings: Settings, surface: FocalSurface
-) -> Renderer:
+def make_integrators(photos: Photos, masks: Masks, method: str) -> Integrators:
     """Return the integrators of a flight.
 
     Args:
         photos: The photos.
         masks: Their weights.
-        plain: Integrator of the plain photos.
-        settings: The settings.
-        surface: The focal surface.
+        method: Name of the chosen mask.
     """
     camera, poses = photos.flight.camera, photos.flight.poses
 
@@ -130,13 +136,13 @@ def make_renderer(
         hue = weighed(masks.brightened, masks.hue)
     elif masks.hue is not None:
         hue = weighed(photos.images, masks.hue, masks.gains)
+    plain = weighed(photos.images, photos.valid)
     rarity = weighed(photos.images, masks.rarity, masks.gains)
     by_name = {"hue": hue, "rarity": rarity}
     if masks.anomaly is not None:
         by_name["anomaly"] = weighed(photos.images, masks.anomaly, masks.gains)
-    chosen = by_name.get(settings.mask.method) or plain
-    rarity_map = weighed(masks.rarity, photos.valid)
-    return Renderer(plain, chosen, rarity, hue, rarity_map, settings, surface)
+    chosen = by_name.get(method) or plain
+    return Integrators(plain, chosen, rarity, hue, weighed(masks.rarity, photos.valid))
 
 
 def sampling_distance(view: VirtualCamera, hits: NDArray[np.float32]) -> float:

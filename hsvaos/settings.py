@@ -135,20 +135,25 @@ class DetectSettings:
         enabled: Whether to look for finds.
         min_z: Local z of the rarity map from which a peak is a find.
         person_m: Length of a person, the size of a find's surround and of its box [m].
-        min_rays: Rays a pixel needs to be judged.
+        min_rays: Rays a pixel needs to be judged; half the number of photos is always enough.
         max_finds: Strongest finds kept in a view.
+        min_agreement: Share of min_z that a person's score, the mean over all views that hold its
+            place, must reach.
     """
 
     enabled: bool = True
     min_z: float = 6.0
     person_m: float = 1.8
-    min_rays: float = 2.0
+    min_rays: float = 6.0
     max_finds: int = 50
+    min_agreement: float = 0.5
 
     def __post_init__(self) -> None:
         _require(self.min_z > 0.0, "detect.min_z", "a positive number", self.min_z)
         _require(self.person_m > 0.0, "detect.person_m", "a positive length", self.person_m)
         _require(self.min_rays >= 0.0, "detect.min_rays", "0 or more", self.min_rays)
+        agreement = self.min_agreement
+        _require(0.0 <= agreement <= 1.0, "detect.min_agreement", "a share, 0 to 1", agreement)
         _require(self.max_finds >= 1, "detect.max_finds", "at least 1", self.max_finds)
 
 

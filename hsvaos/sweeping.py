@@ -10,17 +10,18 @@ from numpy.typing import NDArray
 
 from hsvaos.camera import VirtualCamera
 from hsvaos.flight import Flight, FlightError
+from hsvaos.focusing import clearest_focus
 from hsvaos.kernels.device import resolve_device
-from hsvaos.kernels.integrate import Integrator
-from hsvaos.kernels.sweep import MEASURES, best_focus, focus_measure
+from hsvaos.kernels.sweep import MEASURES, focus_measure
 from hsvaos.masking import make_masks
-from hsvaos.photos import Progress, load_photos
-from hsvaos.rendering import make_renderer
+from hsvaos.photos import Progress, load_photos, with_poses
+from hsvaos.rendering import make_integrators
 from hsvaos.settings import Settings
-from hsvaos.surface import FocalPlane
 from hsvaos.viewing import sized_view
 
 _PLANES_AT_ONCE = 4
+
+RARITY_CURVE = "rarity_kurtosis"
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,8 +32,9 @@ class FocalSweep:
         downs_m: Shape (D,), depths of the planes [m].
         images: Shape (D, H, W, C), float32, integral images.
         footprints: Shape (D, H, W), float32.
-        curves: Shape (D,) each, focus measures of the plain integral by name.
-        focus_m: Depth of the most prominent peak of the kurtosis [m].
+        curves: Shape (D,) each, by name: focus measures of the plain integral, and the kurtosis of
+            the rarity map.
+        focus_m: Depth of the most prominent peak of either kurtosis [m].
         prominence: How far that peak rises above its valleys (0: there is no inner peak).
         frame: Whose pose the view has.
         notes: What the user should know.
@@ -50,9 +52,9 @@ class FocalSweep:
     def summary(self) -> str:
         """Return one line about the focus."""
         if self.prominence == 0.0:
-            return "no plane stands out: the focus curve has no inner peak"
+            return "No plane stands out: the focus curve has no inner peak"
         return (
-            f"sharpest small things at down = {self.focus_m:.2f} m "
+            f"Sharpest small things at down = {self.focus_m:.2f} m "
             f"(peak {100 * self.prominence:.0f} % above its valleys)"
         )
 
@@ -101,22 +103,23 @@ def sweep_flight(
             f"{first_m!r} to {last_m!r} in {steps}"
         )
     settings = settings or Settings()
+    flight = with_poses(flight, progress)
     photos = load_photos(flight, settings.photos.scale, resolve_device(device), progress)
     masks = make_masks(photos, settings, progress)
-    plain = Integrator(photos.flight.camera, photos.images, photos.flight.poses, photos.valid)
-    chosen = make_renderer(photos, masks, plain, settings, FocalPlane(first_m)).chosen
+    by = make_integrators(photos, masks, settings.mask.method)
     name, view = _view(photos.flight, settings.view.frame, size_px)
     downs = np.linspace(first_m, last_m, steps)
     pictures: list[Any] = []
     footprints: list[Any] = []
-    curves: dict[str, list[Any]] = {measure: [] for measure in MEASURES}
+    curves: dict[str, list[Any]] = {name: [] for name in (*MEASURES, RARITY_CURVE)}
     for start in range(0, steps, _PLANES_AT_ONCE):
         part = downs[start : start + _PLANES_AT_ONCE]
-        stack, cover = plain.sweep(view, part)
+        curves[RARITY_CURVE].append(focus_measure(*by.rarity_map.sweep(view, part)))
+        stack, cover = by.plain.sweep(view, part)
         for measure in MEASURES:
             curves[measure].append(focus_measure(stack, cover, measure))
-        if chosen is not plain:
-            stack, cover = chosen.sweep(view, part)
+        if by.chosen is not by.plain:
+            stack, cover = by.chosen.sweep(view, part)
         pictures.append(stack.numpy())
         footprints.append(cover.numpy())
         if progress is not None:
@@ -128,7 +131,7 @@ def sweep_flight(
             f"{name}: expected depths below the cameras"
         )
     joined = {measure: np.concatenate(parts) for measure, parts in curves.items()}
-    focus, prominence = best_focus(downs, joined["kurtosis"])
+    focus, prominence = clearest_focus(downs, [joined["kurtosis"], joined[RARITY_CURVE]])
     notes = (*flight.notes, *photos.notes, *masks.notes)
     return FocalSweep(
         downs, np.concatenate(pictures), footprint, joined, focus, prominence, name, notes

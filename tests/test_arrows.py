@@ -9,7 +9,7 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "hsvaos"
 
-BASE = {"camera", "surface", "flight", "settings", "geodesy", "hue_statistics"}
+BASE = {"camera", "surface", "flight", "settings", "geodesy", "hue_statistics", "rarity_model"}
 ALLOWED = {
     "camera": set(),
     "surface": {"flight"},
@@ -17,20 +17,21 @@ ALLOWED = {
     "settings": set(),
     "geodesy": {"flight"},
     "hue_statistics": set(),
+    "rarity_model": set(),
     "reference": {"camera", "surface"},
     "kernels": BASE,
     "nav": {"flight", "geodesy", "camera", "settings", "nav"},
     "detect": BASE,
-    "formats": BASE,
+    "formats": BASE | {"nav"},
     "result": BASE | {"detect"},
-    "photos": BASE | {"formats", "kernels"},
+    "photos": BASE | {"formats", "kernels", "nav"},
     "masking": BASE | {"photos", "kernels"},
     "viewing": BASE,
     "focusing": BASE | {"photos", "kernels", "viewing"},
     "rendering": BASE | {"photos", "masking", "kernels", "detect", "result"},
     "pipeline": BASE
     | {"photos", "masking", "kernels", "detect", "result", "rendering", "focusing", "viewing"},
-    "sweeping": BASE | {"photos", "masking", "kernels", "rendering", "viewing"},
+    "sweeping": BASE | {"photos", "masking", "kernels", "rendering", "viewing", "focusing"},
     "demo": BASE,
     "report": BASE | {"detect", "result", "sweeping"},
 }

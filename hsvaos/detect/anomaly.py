@@ -20,6 +20,9 @@ _SURROUND = 10.0 / 3.0
 _CLIP = 3.0
 """Deviations beyond which a value counts no more in its own surround."""
 
+_CLIPPINGS = 3
+"""Times that is done: in the corner of a view a person is a good part of what surrounds it."""
+
 _HALF = 0.5
 """A find reaches as far as its z stays above this share of its peak."""
 
@@ -34,7 +37,8 @@ def local_z(
 
     The map is blurred by a Gaussian of 30 cm; from it the mean over a box of 6 m is taken and the
     rest divided by the deviation in that box (lengths for a person of 1.8 m). Mean and deviation
-    are those of the values clipped at 3 deviations. Pixels without rays count in neither.
+    are those of the values clipped at 3 deviations, three times over. Pixels without rays count in
+    neither. Where the blur reaches beyond what is seen, z is lowered by the root of its share.
 
     Args:
         values: Shape (H, W), the rarity map.
@@ -58,7 +62,8 @@ def local_z(
     def mean(part: Any) -> Any:
         return cv2.boxFilter(part, cv2.CV_64F, (box, box), borderType=cv2.BORDER_CONSTANT)
 
-    smooth = blurred(image) / np.maximum(blurred(seen), 1e-3) * seen
+    known_part = blurred(seen)  # at a border fewer pixels are averaged, which is noisier
+    smooth = blurred(image) / np.maximum(known_part, 1e-3) * seen
     # shares are of the whole box, so that half-known surroundings at a border are told apart
     weight = mean(seen)
     safe = np.maximum(weight, 1e-6)
@@ -70,9 +75,10 @@ def local_z(
     # a strong target would raise the deviation of its own surround: it is clipped for that
     wide = smooth.astype(np.float64)
     centre, deviation = moments(wide)
-    centre, deviation = moments(np.minimum(wide, centre + _CLIP * deviation) * seen)
+    for _ in range(_CLIPPINGS):
+        centre, deviation = moments(np.minimum(wide, centre + _CLIP * deviation) * seen)
     known = (seen > 0.0) & (weight > _MIN_VALID) & (deviation > 1e-7)
-    z = (smooth - centre) / np.where(known, deviation, 1.0)
+    z = np.sqrt(known_part) * (smooth - centre) / np.where(known, deviation, 1.0)
     return np.where(known, z, 0.0).astype(np.float32)
 
 

@@ -55,7 +55,7 @@ class Person:
         lat_deg: WGS-84 latitude [deg], None where the flight has no origin.
         lon_deg: WGS-84 longitude [deg], None where the flight has no origin.
         std_m: Horizontal standard deviation of the place, one axis [m].
-        score: Strongest score of the merged detections.
+        score: Mean of the best score in each view that holds the place, 0 where none was found.
         views: Number of views that show it.
     """
 

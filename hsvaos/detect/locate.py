@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,45 +52,76 @@ def box_places(
     return places, variances
 
 
+@dataclass(frozen=True, eq=False)
+class ViewFinds:
+    """The finds of one view, on the ground.
+
+    Args:
+        view: The virtual camera.
+        found: Its boxes and scores.
+        places: Shape (K, 3), world NED [m], NaN where a box has no ground.
+        variances: Shape (K,) [m^2], one axis.
+    """
+
+    view: VirtualCamera
+    found: Detections
+    places: Points
+    variances: Points
+
+
+class _Find(NamedTuple):
+    score: float
+    view: int
+    place: Points
+    variance: float
+
+
 def merge_views(
-    finds: Sequence[tuple[Detections, Points, Points]],
-    person_m: float,
-    origin: Origin | None,
+    finds: Sequence[ViewFinds], person_m: float, min_score: float, origin: Origin | None
 ) -> tuple[Person, ...]:
     """Merge the finds of all views into persons, strongest first.
 
     From the strongest find down, a find within one person's length of a person already there
     joins it, else it starts a new one. A person lies at the mean of its finds weighted by score;
     its variance is theirs plus their scatter. Views share the error of the poses, so variances
-    are not divided by their number.
+    are not divided by their number. A person's score is the mean of the best score in every view
+    whose picture holds its place, with 0 where that view did not find it: noise comes and goes
+    with the view, a person stays.
 
     Args:
-        finds: Detections, places and variances (see `box_places`) of each view.
+        finds: Of each view.
         person_m: Length of a person [m].
+        min_score: Score below which a person is left out.
         origin: Ties the local frame to the Earth, or None.
     """
     rows = [
-        (float(score), view, place, variance)
-        for view, (found, places, variances) in enumerate(finds)
-        for score, place, variance in zip(found.scores, places, variances, strict=True)
+        _Find(float(score), view, place, float(variance))
+        for view, one in enumerate(finds)
+        for score, place, variance in zip(one.found.scores, one.places, one.variances, strict=True)
         if np.isfinite(place).all()
     ]
-    groups: list[list[tuple[float, int, Points, float]]] = []
-    for row in sorted(rows, key=lambda r: -r[0]):
-        near = [g for g in groups if np.linalg.norm(row[2][:2] - g[0][2][:2]) <= person_m]
+    groups: list[list[_Find]] = []
+    for row in sorted(rows, key=lambda r: -r.score):
+        near = [g for g in groups if np.linalg.norm(row.place[:2] - g[0].place[:2]) <= person_m]
         if near:
             near[0].append(row)
         else:
             groups.append([row])
-    return tuple(_person(group, origin) for group in groups)
+    persons = [_person(group, finds, origin) for group in groups]
+    kept = [person for person in persons if person.score >= min_score]
+    return tuple(sorted(kept, key=lambda person: -person.score))
 
 
-def _person(group: list[tuple[float, int, Points, float]], origin: Origin | None) -> Person:
-    weights = np.array([score for score, *_ in group])
-    places = np.array([place for _, _, place, _ in group])
+def _person(group: list[_Find], finds: Sequence[ViewFinds], origin: Origin | None) -> Person:
+    weights = np.array([find.score for find in group])
+    places = np.array([find.place for find in group])
     middle = np.average(places, axis=0, weights=weights)
     scatter = np.average(((places - middle)[:, :2] ** 2).mean(axis=1), weights=weights)
-    variance = np.average([variance for *_, variance in group], weights=weights)
+    variance = np.average([find.variance for find in group], weights=weights)
+    best: dict[int, float] = {}
+    for find in group:
+        best[find.view] = max(best.get(find.view, 0.0), find.score)
+    holding = sum(_holds(one.view, middle) for one in finds)
     lat, lon = None, None
     if origin is not None:
         latitude, longitude, _ = geodetic_from_ned(middle, origin)
@@ -100,6 +133,11 @@ def _person(group: list[tuple[float, int, Points, float]], origin: Origin | None
         lat_deg=lat,
         lon_deg=lon,
         std_m=float(np.sqrt(variance + scatter)),
-        score=float(weights.max()),
-        views=len({view for _, view, *_ in group}),
+        score=sum(best.values()) / max(holding, len(best)),
+        views=len(best),
     )
+
+
+def _holds(view: VirtualCamera, place: Points) -> bool:
+    u, v = view.project(place)
+    return bool(0.0 <= u <= view.width - 1.0 and 0.0 <= v <= view.height - 1.0)

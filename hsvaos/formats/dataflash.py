@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hsvaos.flight import FlightError, Origin
-from hsvaos.nav.geodesy import ned_from_geodetic
+from hsvaos.geodesy import ned_from_llh
 from hsvaos.nav.log import BaroLog, GnssLog, ImuLog, MagLog, SensorLog
 
 Array = NDArray[np.float64]
@@ -141,5 +141,9 @@ def _gnss(rows: dict[str, Rows], start: float, notes: list[str]) -> tuple[GnssLo
         if (own > 0.0).all():
             position_std, velocity_std = own[:, [0, 0, 1]], own[:, [2, 2, 2]]
     return GnssLog(
-        t, ned_from_geodetic(places, origin), velocity, position_std, velocity_std
+        t,
+        ned_from_llh(places, origin),
+        velocity,
+        position_std,
+        velocity_std,
     ), origin

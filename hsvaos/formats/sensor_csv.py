@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hsvaos.flight import FlightError, Origin
-from hsvaos.nav.geodesy import geodetic_from_ned, ned_from_geodetic
+from hsvaos.geodesy import geodetic_from_ned, ned_from_llh
 from hsvaos.nav.log import BaroLog, GnssLog, ImuLog, MagLog, Mounting, SensorLog
 
 Array = NDArray[np.float64]
@@ -120,7 +120,9 @@ def write_csv_log(log: SensorLog, folder: Path) -> list[Path]:
         heads: list[str] = ["t_s", *(_LOCAL if log.origin is None else _GEODETIC), *_VELOCITY]
         formats = ["%.6f", *(("%.4f",) * 3 if log.origin is None else ("%.9f", "%.9f", "%.4f"))]
         formats += ["%.4f"] * 3
-        place = g.position if log.origin is None else geodetic_from_ned(g.position, log.origin)
+        place = g.position
+        if log.origin is not None:
+            place = np.stack(geodetic_from_ned(place, log.origin), axis=-1)
         table = [g.t_s[:, None], place, g.velocity]
         if g.position_std is not None:
             heads += ["pos_std_m", "pos_std_down_m"]
@@ -173,7 +175,7 @@ def _read_gnss(
                 f"gnss: the local frame begins at the first fix, {origin.lat_deg:.7f} N "
                 f"{origin.lon_deg:.7f} E, {origin.height_m:.1f} m"
             )
-        position = llh if origin is None else ned_from_geodetic(llh, origin)
+        position = llh if origin is None else ned_from_llh(llh, origin)
     elif all(head in table for head in _LOCAL):
         position = _group(table, _LOCAL)
     else:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hsvaos.flight import FlightError, Origin
-from hsvaos.nav.geodesy import ned_from_geodetic
+from hsvaos.geodesy import ned_from_llh
 from hsvaos.nav.log import BaroLog, GnssLog, ImuLog, MagLog, SensorLog
 
 Array = NDArray[np.float64]
@@ -127,7 +127,7 @@ def _gnss(table: Table, start: int, notes: list[str]) -> tuple[GnssLog, Origin |
     flat, down = np.asarray(table["eph"])[good], np.asarray(table["epv"])[good]
     speed = np.asarray(table["s_variance_m_s"])[good]
     origin = Origin(*places[good][0].tolist()) if good.any() else None
-    position = places[good] if origin is None else ned_from_geodetic(places[good], origin)
+    position = places[good] if origin is None else ned_from_llh(places[good], origin)
     if origin is not None:
         notes.append("gnss: the local frame begins at the first fix; heights above sea level")
     return GnssLog(

@@ -11,17 +11,16 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from hsvaos.kernels.device import ROW_GRAIN, bands, launch
-from hsvaos.kernels.pixels import (
+from hsvaos.kernels.arrays import (
     Stack,
-    as_colour,
-    as_value,
     device_of,
     like_input,
     output_array,
     pixel_view,
     valid_array,
 )
+from hsvaos.kernels.device import ROW_GRAIN, bands, launch
+from hsvaos.kernels.pixels import as_colour, as_value
 
 wp.set_module_options({"enable_backward": False})
 

@@ -5,24 +5,20 @@ from typing import Any
 
 import warp as wp
 
-from hsvaos.kernels.device import launch
-from hsvaos.kernels.pixels import (
+from hsvaos.kernels.arrays import (
     RGB,
     SCALE,
     Stack,
-    as_value,
-    as_vec3,
-    brightness,
     check_gains,
     device_of,
     like_input,
     output_array,
     pixel_view,
     scalar_type,
-    store,
-    times_gain,
     valid_array,
 )
+from hsvaos.kernels.device import launch
+from hsvaos.kernels.pixels import as_value, as_vec3, brightness, store, times_gain
 
 wp.set_module_options({"enable_backward": False})
 

@@ -8,11 +8,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 from hsvaos.hue_statistics import BINS, HueStatistics, check_statistics, hue_statistics
-from hsvaos.kernels.color import rgb_to_hsv_pixel
-from hsvaos.kernels.device import bands, launch
-from hsvaos.kernels.pixels import (
+from hsvaos.kernels.arrays import (
     Stack,
-    as_vec3,
     device_of,
     like_input,
     output_array,
@@ -20,6 +17,9 @@ from hsvaos.kernels.pixels import (
     pixel_view,
     valid_array,
 )
+from hsvaos.kernels.color import rgb_to_hsv_pixel
+from hsvaos.kernels.device import bands, launch
+from hsvaos.kernels.pixels import as_vec3
 
 wp.set_module_options({"enable_backward": False})
 

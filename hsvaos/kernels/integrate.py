@@ -9,19 +9,18 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from hsvaos.camera import Camera, VirtualCamera, check_pose
-from hsvaos.kernels.device import launch
-from hsvaos.kernels.lens import Lens, lens, project
-from hsvaos.kernels.pixels import (
+from hsvaos.kernels.arrays import (
     Stack,
-    as_value,
     check_gains,
     device_of,
     like_input,
     output_array,
     pixel_view,
-    times_gain,
     to_array,
 )
+from hsvaos.kernels.device import launch
+from hsvaos.kernels.lens import Lens, lens, project
+from hsvaos.kernels.pixels import as_value, times_gain
 from hsvaos.kernels.rays import focal_points
 from hsvaos.surface import FocalPlane, FocalSurface, FocalTerrain
 
@@ -65,9 +64,10 @@ def _gather_kernel(pixel: Any, weight: Any, value: Any) -> Any:
             place = wp.vec3(point[0], point[1], point[2])
             for k in range(order.shape[0]):
                 n = order[k]
-                away = place - poses[n].centre
+                pose = poses[n]
+                away = place - pose.centre
                 if away[0] * away[0] + away[1] * away[1] <= aperture2:
-                    at = project(poses[n].rotation * away, lens)
+                    at = project(pose.rotation * away, lens)
                     u, v = at[0], at[1]
                     # a photo covers the area of its pixels; its edge pixels reach to the border
                     if (
@@ -98,14 +98,16 @@ def _gather_kernel(pixel: Any, weight: Any, value: Any) -> Any:
                             wb *= float(weights[n * weight_step, b]) * weight_unit
                             wc *= float(weights[n * weight_step, c]) * weight_unit
                             wd *= float(weights[n * weight_step, d]) * weight_unit
-                        here = (
-                            as_value(images[n, a]) * wa
-                            + as_value(images[n, b]) * wb
-                            + as_value(images[n, c]) * wc
-                            + as_value(images[n, d]) * wd
-                        )
-                        total += times_gain(here, poses[n].gain)
-                        sum_of_weights += wa + wb + wc + wd
+                        share = wa + wb + wc + wd
+                        if share > 0.0:  # most rays end on masked leaves: spare their pixels
+                            here = (
+                                as_value(images[n, a]) * wa
+                                + as_value(images[n, b]) * wb
+                                + as_value(images[n, c]) * wc
+                                + as_value(images[n, d]) * wd
+                            )
+                            total += times_gain(here, pose.gain)
+                            sum_of_weights += share
         if sum_of_weights > 0.0:
             total = total / sum_of_weights
         image[i] = total

@@ -7,8 +7,9 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from hsvaos.kernels.arrays import Stack, device_of, valid_array
 from hsvaos.kernels.device import bands, launch
-from hsvaos.kernels.pixels import Stack, as_vec3, device_of, valid_array
+from hsvaos.kernels.pixels import as_vec3
 
 wp.set_module_options({"enable_backward": False})
 

@@ -5,20 +5,14 @@ lightness, p(chroma | lightness) from a histogram of all pixels, and the weight 
 min(1, (p0 / p)^exponent). Grey images have no chroma; there the rarity of the grey level counts.
 """
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-import cv2
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
-from hsvaos.kernels.device import bands, launch
-from hsvaos.kernels.lab import CURVE, GAMMA, gamma_table, lab_curve_table, lab_pixel
-from hsvaos.kernels.pixels import (
+from hsvaos.kernels.arrays import (
     Stack,
-    as_vec3,
     device_of,
     like_input,
     output_array,
@@ -27,44 +21,22 @@ from hsvaos.kernels.pixels import (
     scalar_type,
     valid_array,
 )
+from hsvaos.kernels.device import bands, launch
+from hsvaos.kernels.lab import CURVE, GAMMA, gamma_table, lab_curve_table, lab_pixel
+from hsvaos.kernels.pixels import as_vec3
+from hsvaos.rarity_model import (
+    CHROMA_BINS,
+    CHROMA_RANGE,
+    GREY_BINS,
+    LIGHTNESS_BINS,
+    LIGHTNESS_FLOOR,
+    RarityModel,
+    model_from_counts,
+)
 
 wp.set_module_options({"enable_backward": False})
 
-LIGHTNESS_BINS = 10
-CHROMA_BINS = 40
-CHROMA_RANGE = 48.0
-"""Chroma coordinates 40 a / L and 40 b / L beyond this fall into the outermost bins."""
-
-LIGHTNESS_FLOOR = 8.0
-"""L below which chroma is not scaled up further: what is nearly black has noise for a colour."""
-
-GREY_BINS = 256
-
 _COLOUR_BINS = LIGHTNESS_BINS * CHROMA_BINS * CHROMA_BINS
-
-
-@dataclass(frozen=True, eq=False)
-class RarityModel:
-    """The colour histogram of a flight and the weight of each of its bins.
-
-    Args:
-        counts: Shape (10, 40, 40) of lightness, a and b bins, or (256,) of grey levels; int64.
-        probability: Same shape, float64, smoothed; p(chroma | lightness), or p(grey level).
-        weights: Same shape, float32, min(1, (p0 / p)^exponent), 0..1.
-        threshold: p0, in the probability of one bin.
-        exponent: Of the weight.
-    """
-
-    counts: NDArray[np.int64]
-    probability: NDArray[np.float64]
-    weights: NDArray[np.float32]
-    threshold: float
-    exponent: float
-
-    @property
-    def is_grey(self) -> bool:
-        """Whether the model is one of grey levels."""
-        return self.counts.ndim == 1
 
 
 @wp.func
@@ -196,34 +168,6 @@ def rarity_model(
     if stack.channels == 3:
         total = total.reshape(LIGHTNESS_BINS, CHROMA_BINS, CHROMA_BINS)
     return model_from_counts(total, threshold, exponent, smoothing_bins)
-
-
-def model_from_counts(
-    counts: NDArray[np.int64], threshold: float | None, exponent: float, smoothing_bins: float
-) -> RarityModel:
-    """Return the model of a histogram: smoothed, normalised for each lightness, made a weight.
-
-    Args:
-        counts: Shape (10, 40, 40) or (256,), int64.
-        threshold: See `rarity_model`.
-        exponent: See `rarity_model`.
-        smoothing_bins: See `rarity_model`.
-    """
-    if threshold is None:
-        threshold = 2e-4 if counts.ndim == 3 else 2e-4 * CHROMA_BINS**2 / GREY_BINS
-    planes = counts.astype(np.float64).reshape(-1, *(counts.shape[1:] or (1, counts.size)))
-    if smoothing_bins > 0.0:
-        planes = np.stack(
-            [
-                cv2.GaussianBlur(plane, (0, 0), smoothing_bins, borderType=cv2.BORDER_REPLICATE)
-                for plane in planes
-            ]
-        )
-    total = planes.sum(axis=(1, 2), keepdims=True)
-    probability = (planes / np.maximum(total, 1.0)).reshape(counts.shape)
-    ratio = threshold / np.maximum(probability, threshold)
-    weights = (ratio**exponent).astype(np.float32)
-    return RarityModel(counts, probability, weights, threshold, exponent)
 
 
 def apply_rarity(

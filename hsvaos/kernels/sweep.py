@@ -6,8 +6,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
+from hsvaos.kernels.arrays import device_of, to_array
 from hsvaos.kernels.device import ROW_GRAIN, launch
-from hsvaos.kernels.pixels import device_of, to_array
 
 wp.set_module_options({"enable_backward": False})
 
@@ -152,6 +152,7 @@ def best_focus(downs_m: ArrayLike, curve: ArrayLike) -> tuple[float, float]:
     The curve's logarithm is searched for local maxima; prominence is the height of a maximum above
     the higher of the two valleys beside it. The place is refined by a parabola through three
     points. A curve without an inner maximum yields its greatest value's depth and prominence 0.
+    Planes of measure 0, which nothing covers, are left out.
 
     Args:
         downs_m: Shape (D,), rising depths of the planes [m].
@@ -164,9 +165,12 @@ def best_focus(downs_m: ArrayLike, curve: ArrayLike) -> tuple[float, float]:
         ValueError: If shapes differ or there are no planes.
     """
     downs = np.asarray(downs_m, dtype=np.float64)
-    heights = np.log(np.maximum(np.asarray(curve, dtype=np.float64), 1e-30))
-    if downs.ndim != 1 or downs.shape != heights.shape or downs.size == 0:
-        raise ValueError(f"expected two lists of equal length, got {downs.shape}, {heights.shape}")
+    values = np.asarray(curve, dtype=np.float64)
+    if downs.ndim != 1 or downs.shape != values.shape or downs.size == 0:
+        raise ValueError(f"expected two lists of equal length, got {downs.shape}, {values.shape}")
+    if not (values > 0.0).any():
+        return float(downs[0]), 0.0
+    downs, heights = downs[values > 0.0], np.log(values[values > 0.0])
     best, prominence = int(np.argmax(heights)), 0.0
     for i in range(1, downs.size - 1):
         if heights[i] < heights[i - 1] or heights[i] <= heights[i + 1]:

@@ -45,41 +45,94 @@ def align(log: SensorLog, ekf: ErrorStateEkf, *, rounds: int = 3) -> InitialStat
     Raises:
         ValueError: If the log has no fix.
     """
-    start = first_state(log, ekf)
+    start = coarse_start(log, ekf)
     stop = window_end(log, start.t_s)
-    start = _heading(log, ekf, start, stop)
     return refine(log, ekf, start, stop_s=min(stop, start.t_s + _LONGEST_S), rounds=rounds)
 
 
+def coarse_start(log: SensorLog, ekf: ErrorStateEkf) -> InitialState:
+    """Return the state at the first fix, with a heading to within tens of degrees.
+
+    Args:
+        log: A log that was checked.
+        ekf: The filter that will run; its models are used.
+
+    Raises:
+        ValueError: If the log has no fix.
+    """
+    start = first_state(log, ekf)
+    return _heading(log, ekf, start, window_end(log, start.t_s))
+
+
 def refine(
-    log: SensorLog, ekf: ErrorStateEkf, start: InitialState, *, stop_s: float, rounds: int = 3
+    log: SensorLog, ekf: ErrorStateEkf, prior: InitialState, *, stop_s: float, rounds: int = 3
 ) -> InitialState:
     """Return a start smoothed back from what followed (an iterated smoother).
 
-    The uncertainty stays that of the start that was given: what is estimated here is only where to
-    linearise.
+    The uncertainty stays that of the prior: what is estimated here is only where to linearise.
 
     Args:
         log: The log.
         ekf: The filter.
-        start: The first guess.
+        prior: The first guess and its uncertainty.
         stop_s: How far to look [s].
         rounds: How often, at most; fewer if the attitude moves by less than 0.05 deg.
     """
+    start = prior
+    if not _moves(log, prior.t_s, stop_s):
+        return start  # at rest nothing shows where it was wrong
     for _ in range(rounds):
-        states = smooth(ekf.run(log, start, stop_s=stop_s))
-        q = states.quaternion[0]
-        moved = attitude.log(attitude.multiply(q, attitude.conjugate(start.quaternion)))
-        start = start.replace(
-            position=states.position[0],
-            velocity=states.velocity[0],
-            quaternion=q,
-            gyro_bias=states.gyro_bias[0],
-            accel_bias=states.accel_bias[0],
-        )
-        if float(np.abs(moved).max()) < np.radians(0.05):
+        before = start.quaternion
+        start = moved(prior, start, smooth(ekf.run(log, start, stop_s=stop_s)))
+        turn = attitude.log(attitude.multiply(start.quaternion, attitude.conjugate(before)))
+        if float(np.abs(turn).max()) < np.radians(0.05):
             break
     return start
+
+
+def _moves(log: SensorLog, start_s: float, stop_s: float) -> bool:
+    """Return whether the fixes of a span show motion."""
+    gnss = log.gnss
+    if gnss is None:
+        return False
+    inside = (gnss.t_s >= start_s) & (gnss.t_s <= stop_s)
+    speed = np.linalg.norm(np.nan_to_num(gnss.velocity[inside, :2]), axis=1)
+    known = np.isfinite(gnss.velocity[inside]).all(axis=1).any()
+    # a receiver without velocities: assume that it moved
+    return bool((speed > _MOVING_M_S).any() or not known)
+
+
+def moved(prior: InitialState, start: InitialState, smoothed: States) -> InitialState:
+    """Return where to linearise next: the optimum under the prior, seen from `start`.
+
+    A filter started at x with the prior's covariance P0 takes x for the mean of the prior, m. The
+    smoother's answer s must be taken back by what that made believe, s + P_s P0^-1 (m - x), the
+    Gauss-Newton step; else what no measurement sees (heading at rest) would wander with each round.
+
+    Args:
+        prior: The first guess and its uncertainty.
+        start: Where the filter started.
+        smoothed: What came of it.
+    """
+    turn = attitude.multiply(prior.quaternion, attitude.conjugate(start.quaternion))
+    apart = np.concatenate(
+        [
+            prior.position - start.position,
+            prior.velocity - start.velocity,
+            attitude.log(turn),
+            prior.gyro_bias - start.gyro_bias,
+            prior.accel_bias - start.accel_bias,
+        ]
+    )
+    back = smoothed.covariance[0, :15, :15] @ (apart / prior.std**2)
+    q = attitude.multiply(attitude.exp(back[6:9]), smoothed.quaternion[0])
+    return start.replace(
+        position=smoothed.position[0] + back[0:3],
+        velocity=smoothed.velocity[0] + back[3:6],
+        quaternion=q,
+        gyro_bias=smoothed.gyro_bias[0] + back[9:12],
+        accel_bias=smoothed.accel_bias[0] + back[12:15],
+    )
 
 
 def first_state(log: SensorLog, ekf: ErrorStateEkf) -> InitialState:

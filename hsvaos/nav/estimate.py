@@ -10,6 +10,8 @@ from typing import TypeVar
 import numpy as np
 
 from hsvaos.flight import Flight
+from hsvaos.nav import attitude
+from hsvaos.nav.align import moved
 from hsvaos.nav.checks import check_log
 from hsvaos.nav.error_state_ekf import ErrorStateEkf
 from hsvaos.nav.fit import Models, fit_models
@@ -28,6 +30,8 @@ from hsvaos.nav.states import States
 from hsvaos.nav.trajectory import Trajectory, trajectory_of
 
 T = TypeVar("T")
+
+_PASSES = 4
 
 FILTERS = ("error-state", "paper")
 """Names of the filters."""
@@ -108,16 +112,12 @@ def _error_state(
     if not smooth:
         return states
     out = smooth_states(states)
-    turned = out.rotation[0] @ states.history.rotation[0].T if states.history else np.eye(3)
-    if float(np.trace(turned)) < 1.0 + 2.0 * np.cos(np.radians(0.5)):
-        # linearised half a degree off: worth a second pass from where the first one leads
-        start = start.replace(
-            position=out.position[0],
-            velocity=out.velocity[0],
-            quaternion=out.quaternion[0],
-            gyro_bias=out.gyro_bias[0],
-            accel_bias=out.accel_bias[0],
-        )
+    for _ in range(_PASSES):
+        before, start = start.quaternion, moved(models.prior, start, out)
+        turn = attitude.log(attitude.multiply(start.quaternion, attitude.conjugate(before)))
+        if float(np.abs(turn).max()) < np.radians(0.25):
+            break
+        # linearised that far off: worth another pass from where the last one leads
         again = ekf.run(models.log, start, progress=report("filter"))
         out = replace(smooth_states(again), notes=states.notes)
     return out

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hsvaos.nav.align import align, first_state, refine, score, scout, window_end
+from hsvaos.nav.align import coarse_start, first_state, refine, score, scout, window_end
 from hsvaos.nav.error_state_ekf import ErrorStateEkf
 from hsvaos.nav.initial import InitialState
 from hsvaos.nav.log import BaroLog, SensorLog
@@ -43,6 +43,7 @@ class Models:
         gnss: Receiver, latency included.
         baro: Barometer.
         log: The log; without the receiver's own noise figures where a preset explains it better.
+        prior: The first guess of the start and its uncertainty.
         start: Where to start.
         notes: What was chosen, one line each.
     """
@@ -51,6 +52,7 @@ class Models:
     gnss: GnssModel
     baro: BaroModel
     log: SensorLog
+    prior: InitialState
     start: InitialState
     notes: tuple[str, ...]
 
@@ -80,7 +82,9 @@ def fit_models(
         first_gnss = replace(first_gnss, latency_s=gnss_latency_s)
     baro = baro or BARO_MODELS["ms5611"]
     bare = _thinned(log if gnss is not None else _without_noise(log))
-    start = align(bare, ErrorStateEkf(first_imu, first_gnss, baro), rounds=1)
+    first_ekf = ErrorStateEkf(first_imu, first_gnss, baro)
+    prior = coarse_start(bare, first_ekf)
+    start = refine(bare, first_ekf, prior, stop_s=window_end(log, prior.t_s), rounds=1)
     done(0.3)
     notes: list[str] = []
     trial = _Trial(bare, start)
@@ -101,22 +105,26 @@ def fit_models(
         log = log if own else _without_noise(log)
         notes.append(f"gnss: noise {name} (fits best)")
     done(1.0)
-    if chosen is not first_gnss or imu is not first_imu:
-        first = first_state(log, ErrorStateEkf(imu, chosen, baro))
-        start = start.replace(
-            position_std=first.position_std,
-            gyro_bias_std=first.gyro_bias_std,
-            accel_bias_std=first.accel_bias_std,
-        )
-    stop = min(window_end(log, start.t_s), start.t_s + _PIECE_S)
-    start = refine(_thinned(log), ErrorStateEkf(imu, chosen, baro), start, stop_s=stop)
-    return Models(imu, chosen, baro, log, start, tuple(notes))
+    ekf = ErrorStateEkf(imu, chosen, baro)
+    first = first_state(log, ekf)
+    prior = prior.replace(
+        t_s=first.t_s,
+        position=first.position,
+        velocity=first.velocity,
+        position_std=first.position_std,
+        velocity_std=first.velocity_std,
+        gyro_bias_std=first.gyro_bias_std,
+        accel_bias_std=first.accel_bias_std,
+    )
+    stop = min(window_end(log, prior.t_s), prior.t_s + _PIECE_S)
+    start = refine(_thinned(log), ekf, prior, stop_s=stop)
+    return Models(imu, chosen, baro, log, prior, start, tuple(notes))
 
 
 class _Trial:
     """Scores hypotheses on the same piece of a log from the same start."""
 
-    def __init__(self, log: SensorLog, start: InitialState) -> None:
+    def __init__(self, log: SensorLog, start: InitialState, *, whole: bool = False) -> None:
         self.log = log
         # wide enough for any of the hypotheses, so that none is judged by the start
         self.start = start.replace(
@@ -125,7 +133,7 @@ class _Trial:
             attitude_std=np.radians([5.0, 5.0, 20.0]),
         )
         self.after = start.t_s + float(_LATENCIES_S[-1]) + 5.0
-        self.stop = self._piece()
+        self.stop = float(log.imu.t_s[-1]) if whole else self._piece()
 
     def _piece(self) -> float:
         """Return the end of a piece with motion in it [s]."""
@@ -178,7 +186,11 @@ def _receiver(
     if log.gnss is not None and log.gnss.position_std is not None:
         logged = replace(GNSS_MODELS["single"], latency_s=latency_s)
         options.append(("as the receiver states it", logged, True))
-    values = [_Trial(log if own else bare, start).score(imu, m) for _, m, own in options]
+    # over the whole log: a receiver is as good as its worst minute
+    values = [
+        _Trial(log if own else bare, start, whole=True).score(imu, model)
+        for _, model, own in options
+    ]
     return options[int(np.argmax(values))]
 
 

@@ -7,18 +7,30 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hsvaos.nav import attitude
 from hsvaos.nav.error_state_run import gnss_noise
 from hsvaos.nav.initial import InitialState
 from hsvaos.nav.log import SensorLog
+from hsvaos.nav.paper_algebra import (
+    BA16,
+    BG16,
+    P16,
+    Q16,
+    V16,
+    left_product,
+    note_innovations,
+    right_product,
+    states_of,
+    turn_by_quaternion,
+    turn_matrix,
+)
 from hsvaos.nav.process import STANDARD_GRAVITY, gravity_of
 from hsvaos.nav.sensor_models import BaroModel, GnssModel, ImuModel
 from hsvaos.nav.states import InnovationLog, States
 
 Array = NDArray[np.float64]
 
-P16, V16, Q16, BA16, BG16 = slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 13), slice(13, 16)
-"""Places of position, velocity, quaternion, accelerometer and gyroscope bias."""
+_ROWS = np.array([0, 1, 2, 3, 4, 5, 2])
+"""The state that each row of H picks: position, velocity, down."""
 
 
 class PaperEkf:
@@ -41,11 +53,18 @@ class PaperEkf:
     `bias_random_walk=True` the IMU model's walks are added. Only the rows of z that arrived are
     used. No gates, no latencies, no lever arm: that is `ErrorStateEkf`.
 
+    One thing is added to the print. Bringing the quaternion back to length one is a step like any
+    other, and the covariance must take it too, P' = N P N' with N = 1 - q q'. Without it part of
+    the uncertainty of heading, after the first large correction, stands for the length of q, which
+    scales C(q) and with it gravity: the barometer then corrects the heading, wrongly, and the
+    filter is sure of it. `project=False` gives the print to the letter.
+
     Args:
         imu: Noise of the inertial sensor (Q).
         gnss: Noise of the receiver where the log states none (R).
         baro: Noise of the barometer (R).
         bias_random_walk: Whether the biases may drift.
+        project: Whether the covariance follows the quaternion's return to length one.
         gravity: Acceleration of gravity [m/s^2].
     """
 
@@ -56,10 +75,12 @@ class PaperEkf:
         baro: BaroModel | None = None,
         *,
         bias_random_walk: bool = False,
+        project: bool = True,
         gravity: float = STANDARD_GRAVITY,
     ) -> None:
         self.imu, self.gnss, self.baro = imu, gnss, baro
         self.bias_random_walk, self.gravity = bias_random_walk, gravity
+        self.project = project
         self.x: Array = np.zeros(16)
         self.x[6] = 1.0
         self.P: Array = np.eye(16)
@@ -79,7 +100,7 @@ class PaperEkf:
                 initial.gyro_bias,
             ]
         )
-        by_phi = 0.5 * _right_product(self.x[Q16])[:, 1:]
+        by_phi = 0.5 * right_product(self.x[Q16])[:, 1:]
         self.P = np.zeros((16, 16))
         self.P[P16, P16] = np.diag(initial.position_std**2)
         self.P[V16, V16] = np.diag(initial.velocity_std**2)
@@ -118,9 +139,9 @@ class PaperEkf:
         """
         new = x.copy()
         new[P16] += x[V16] * dt
-        new[V16] += _matrix(x[Q16]) @ (accel - x[BA16]) * dt
+        new[V16] += turn_matrix(x[Q16]) @ (accel - x[BA16]) * dt
         new[5] += self.gravity * dt
-        new[Q16] += 0.5 * dt * _right_product(np.concatenate([[0.0], gyro - x[BG16]])) @ x[Q16]
+        new[Q16] += 0.5 * dt * right_product(np.concatenate([[0.0], gyro - x[BG16]])) @ x[Q16]
         return np.asarray(new)
 
     def jacobians(self, accel: Array, gyro: Array, dt: float) -> tuple[Array, Array]:
@@ -132,13 +153,13 @@ class PaperEkf:
             dt: Duration [s].
         """
         q, force = self.x[Q16], accel - self.x[BA16]
-        turn = _matrix(q) * dt
-        by_rate = 0.5 * dt * _left_product(q)[:, 1:]
+        turn = turn_matrix(q) * dt
+        by_rate = 0.5 * dt * left_product(q)[:, 1:]
         A = np.eye(16)
         A[0, 3] = A[1, 4] = A[2, 5] = dt
-        A[V16, Q16] = _matrix_by_quaternion(q, force) * dt
+        A[V16, Q16] = turn_by_quaternion(q, force) * dt
         A[V16, BA16] = -turn
-        A[Q16, Q16] += 0.5 * dt * _right_product(np.concatenate([[0.0], gyro - self.x[BG16]]))
+        A[Q16, Q16] += 0.5 * dt * right_product(np.concatenate([[0.0], gyro - self.x[BG16]]))
         A[Q16, BG16] = -by_rate
         B = np.zeros((16, 6))
         B[V16, 0:3] = turn
@@ -162,8 +183,13 @@ class PaperEkf:
         innovation = z[rows] - self.x[at]
         K = np.linalg.solve(S, PH.T).T
         self.x = self.x + K @ innovation
-        self.x[Q16] /= np.sqrt(self.x[Q16] @ self.x[Q16])
         self.P = self.P - K @ PH.T
+        q = self.x[Q16] / np.sqrt(self.x[Q16] @ self.x[Q16])
+        self.x[Q16] = q
+        if self.project:
+            N = np.eye(4) - np.outer(q, q)
+            self.P[Q16] = N @ self.P[Q16]
+            self.P[:, Q16] = self.P[:, Q16] @ N
         self.P = 0.5 * (self.P + self.P.T)
         return innovation, S
 
@@ -222,13 +248,13 @@ class PaperEkf:
             last = imu.t_s[i]
             if arrived[k]:
                 innovation, S = self.update(z[k], variance[k])
-                _note(innovations, last, there[k], innovation, S)
+                note_innovations(innovations, last, there[k], innovation, S)
             keep[k], covariance[k] = self.x, self.P
             if progress is not None and k % 2000 == 0:
                 progress(k / count)
         if progress is not None:
             progress(1.0)
-        return _states(imu.t_s[first:], keep, covariance, innovations, initial.notes)
+        return states_of(imu.t_s[first:], keep, covariance, innovations, initial.notes)
 
     def _measurements(self, log: SensorLog, first: int) -> tuple[Array, Array]:
         """Return z and the diagonal of R for each sample from `first` on, NaN where none came."""
@@ -248,83 +274,3 @@ class PaperEkf:
             z[at[use], 6] = -log.baro.height_m[use]
             variance[:, 6] = self.baro.noise_std**2
         return z, variance
-
-
-_ROWS = np.array([0, 1, 2, 3, 4, 5, 2])
-
-
-def _matrix(q: Array) -> Array:
-    """Return C(q), world_from_body, quadratic in q: not normalised, as the Jacobian needs it."""
-    w, x, y, z = q.tolist()
-    return np.array(
-        [
-            [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
-        ]
-    )
-
-
-def _matrix_by_quaternion(q: Array, v: Array) -> Array:
-    """Return the derivative of C(q) v by q, shape (3, 4)."""
-    w, x, y, z = q.tolist()
-    a, b, c = v.tolist()
-    # C(q) v = (w^2 - u.u) v + 2 (u.v) u + 2 w u x v
-    d, e, f = w * a + y * c - z * b, w * b + z * a - x * c, w * c + x * b - y * a
-    s = x * a + y * b + z * c
-    return 2.0 * np.array([[d, s, f, -e], [e, -f, s, d], [f, e, -d, s]])
-
-
-def _left_product(q: Array) -> Array:
-    """Return the matrix L with L r = q r, shape (4, 4)."""
-    w, x, y, z = q.tolist()
-    return np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
-
-
-def _right_product(q: Array) -> Array:
-    """Return the matrix R with R r = r q, shape (4, 4)."""
-    w, x, y, z = q.tolist()
-    return np.array([[w, -x, -y, -z], [x, w, z, -y], [y, -z, w, x], [z, y, -x, w]])
-
-
-def _note(
-    log: InnovationLog, t: float, arrived: NDArray[np.bool_], innovation: Array, S: Array
-) -> None:
-    """Note innovations by sensor."""
-    place = np.cumsum(arrived) - 1
-    for sensor, rows in (
-        ("gnss position", range(3)),
-        ("gnss velocity", range(3, 6)),
-        ("baro", range(6, 7)),
-    ):
-        at = np.array([place[r] for r in rows if arrived[r]], dtype=np.intp)
-        if len(at):
-            residual, block = innovation[at], S[np.ix_(at, at)]
-            if sensor == "baro":
-                residual = -residual  # heights are upward in the table, z7 is downward
-            nis = float(residual @ np.linalg.solve(block, residual))
-            log.add(sensor, t, residual, np.sqrt(block.diagonal()), nis, True)
-
-
-def _states(
-    t: Array, x: Array, P: Array, innovations: InnovationLog, notes: tuple[str, ...]
-) -> States:
-    """Return the states in the layout of the error-state filter."""
-    vector = np.zeros((len(x), 15))
-    vector[:, 0:6], vector[:, 9:12], vector[:, 12:15] = x[:, 0:6], x[:, BG16], x[:, BA16]
-    # rows of the error state from those of x; phi = 2 vec(dq q*)
-    T = np.zeros((len(x), 15, 16))
-    T[:, np.arange(6), np.arange(6)] = 1.0
-    T[:, [9, 10, 11, 12, 13, 14], [13, 14, 15, 10, 11, 12]] = 1.0
-    w, a, b, c = x[:, Q16].T
-    T[:, 6, 6:10] = 2.0 * np.stack([-a, w, c, -b], axis=1)
-    T[:, 7, 6:10] = 2.0 * np.stack([-b, -c, w, a], axis=1)
-    T[:, 8, 6:10] = 2.0 * np.stack([-c, b, -a, w], axis=1)
-    return States(
-        t_s=t,
-        vector=vector,
-        rotation=attitude.matrix(attitude.normalize(x[:, Q16])),
-        covariance=T @ P @ np.swapaxes(T, 1, 2),
-        innovations=innovations.result(),
-        notes=notes,
-    )

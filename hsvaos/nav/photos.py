@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,11 @@ from hsvaos.nav.estimate import estimate_trajectory
 from hsvaos.nav.trajectory import Trajectory
 
 
-def poses_at_photos(flight: Flight, trajectory: Trajectory | None = None) -> Flight:
+def poses_at_photos(
+    flight: Flight,
+    trajectory: Trajectory | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> Flight:
     """Return the flight with a pose for each photo, from its sensor log.
 
     Photos are matched to triggers by file name; where a flight has no triggers, by the time of
@@ -21,6 +26,7 @@ def poses_at_photos(flight: Flight, trajectory: Trajectory | None = None) -> Fli
     Args:
         flight: A flight with sensors.
         trajectory: The trajectory, if it is known already.
+        progress: Told of stage and share done, 0..1, while the trajectory is estimated.
 
     Returns:
         The flight; photos without time, or outside the trajectory, are left out with a note.
@@ -40,7 +46,7 @@ def poses_at_photos(flight: Flight, trajectory: Trajectory | None = None) -> Fli
     times = np.array([triggers.get(frame.name, frame.t_s) for frame in flight.frames])
     _refuse_strangers(flight, times, (float(log.imu.t_s[0]), float(log.imu.t_s[-1])))
     if trajectory is None:
-        trajectory = estimate_trajectory(log)
+        trajectory = estimate_trajectory(log, progress=progress)
     notes += [f"nav: {note}" for note in trajectory.notes]
     inside = _refuse_strangers(flight, times, trajectory.span)
     index = np.flatnonzero(inside)

@@ -162,12 +162,12 @@ IMU_MODELS: dict[str, ImuModel] = {
     "autopilot": ImuModel(
         rate_hz=100.0,
         gyro_noise=3.0e-3,
-        accel_noise=0.12,
+        accel_noise=0.15,
         gyro_bias_std=1.0 * _DEG,
         accel_bias_std=40.0 * _MILLI_G,
         gyro_bias_walk=1.0e-4,
         accel_bias_walk=3.0e-3,
-        scale_std=0.02,
+        scale_std=0.005,
         source="a consumer sensor as autopilots log it in flight: vibration, aliasing and uneven "
         "stamps included; noise by which the innovations of two public PX4 logs become consistent",
     ),
@@ -198,8 +198,8 @@ GNSS_MODELS: dict[str, GnssModel] = {
     "standalone": GnssModel(
         rate_hz=5.0,
         position_std=(0.2, 0.4),
-        velocity_std=0.2,
-        velocity_std_down=0.3,
+        velocity_std=0.18,
+        velocity_std_down=0.25,
         wander_std=(2.0, 3.0),
         wander_tau_s=80.0,
         source="a single-frequency receiver as logged: smooth from fix to fix, metres off over "
@@ -232,7 +232,7 @@ GNSS_MODELS: dict[str, GnssModel] = {
 BARO_MODELS: dict[str, BaroModel] = {
     "calibrated": BaroModel(
         rate_hz=25.0,
-        noise_std=0.5,
+        noise_std=0.4,
         source="white noise only, zero set on the ground, as the paper's measurement of height "
         "supposes; its level: assumed, rotor wash included",
     ),

@@ -87,6 +87,7 @@ def _page(sweep: FocalSweep, names: list[str]) -> str:
         summary=escape(sweep.summary()),
         notes="".join(f"<li>{escape(note)}</li>" for note in sweep.notes),
         curve=_curve(sweep.curves["kurtosis"]),
+        rarity=_curve(sweep.curves["rarity_kurtosis"]),
         last=len(names) - 1,
         start=start,
         data=json.dumps(data).replace("<", "\\u003c"),

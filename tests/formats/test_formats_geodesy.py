@@ -6,7 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hsvaos.flight import Origin
-from hsvaos.geodesy import ecef_from_geodetic, geodetic_from_ned, ned_from_geodetic
+from hsvaos.geodesy import (
+    ecef_from_geodetic,
+    geodetic_from_ned,
+    ned_from_geodetic,
+    ned_from_llh,
+)
 
 origins = st.builds(
     Origin, st.floats(-90.0, 90.0), st.floats(-180.0, 180.0), st.floats(-400.0, 9000.0)
@@ -20,6 +25,8 @@ places = st.lists(
 def test_round_trip_to_a_micrometre(origin, ned):
     lat, lon, height = geodetic_from_ned(ned, origin)
     np.testing.assert_allclose(ned_from_geodetic(lat, lon, height, origin), ned, atol=1e-6)
+    rows = np.stack([lat, lon, height], axis=-1)
+    np.testing.assert_allclose(ned_from_llh(rows, origin), ned, atol=1e-6)
 
 
 def test_equals_pyproj():

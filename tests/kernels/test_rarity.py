@@ -12,10 +12,10 @@ from hsvaos import reference
 from hsvaos.kernels.levels import channel_quantiles, level_gains
 from hsvaos.kernels.rarity import (
     apply_rarity,
-    model_from_counts,
     rarity_model,
     rarity_weights,
 )
+from hsvaos.rarity_model import model_from_counts
 from tests.kernels.strategies import dtypes, random_images, seeds
 
 

@@ -52,6 +52,8 @@ def test_best_focus_finds_the_prominent_peak_between_planes() -> None:
 
 def test_best_focus_without_a_peak_says_so() -> None:
     assert best_focus([1.0, 2.0, 3.0], [3.0, 2.0, 1.0]) == (1.0, 0.0)
+    assert best_focus([1.0, 2.0], [0.0, 0.0]) == (1.0, 0.0)
+    assert best_focus([0.0, 1.0, 2.0, 3.0], [0.0, 2.0, 3.0, 2.0])[0] == pytest.approx(2.0)
     with pytest.raises(ValueError, match="equal length"):
         best_focus([1.0], [1.0, 2.0])
 

@@ -8,7 +8,8 @@ from hypothesis.extra.numpy import arrays
 
 from hsvaos.nav import attitude
 from hsvaos.nav.initial import InitialState
-from hsvaos.nav.paper_ekf import BA16, BG16, Q16, PaperEkf
+from hsvaos.nav.paper_algebra import BA16, BG16, Q16
+from hsvaos.nav.paper_ekf import PaperEkf
 from hsvaos.nav.sensors import IMU_MODELS
 
 unit = st.floats(-1.0, 1.0, width=32)
@@ -72,7 +73,7 @@ def test_update_uses_only_the_rows_that_arrived():
 
 def test_covariance_equals_the_joseph_form():
     rng = np.random.default_rng(0)
-    ekf = PaperEkf(IMU)
+    ekf = PaperEkf(IMU, project=False)
     root = rng.standard_normal((16, 16))
     P = ekf.P = root @ root.T
     ekf.x = np.concatenate([np.zeros(6), [1.0], np.zeros(9)])
@@ -95,3 +96,20 @@ def test_bias_noise_is_off_as_printed_and_available():
     np.testing.assert_array_equal(fresh[0], np.diag(np.full(3, 0.2**2)))
     grown = np.diag(walking.P)[BG16] - np.diag(fresh[1])
     np.testing.assert_allclose(grown, IMU_MODELS["adis16448"].gyro_bias_walk ** 2 * 0.5, rtol=1e-6)
+
+
+def test_the_covariance_follows_the_quaternion_back_to_length_one():
+    """The Jacobian of q / |q| at the updated q: nothing is left along q, unless as printed."""
+    spread = []
+    for project in (True, False):
+        ekf = PaperEkf(IMU, project=project)
+        q = attitude.from_euler(0.1, -0.2, 0.5)
+        ekf.start(InitialState(0.0, np.zeros(3), np.zeros(3), q))
+        for _ in range(100):
+            ekf.predict([1.0, 0.5, -9.8], [0.02, 0.01, 0.1], 0.01)
+        z = np.concatenate([[0.5, 0.0, 0.0], [2.0, 1.0, 0.3], [0.0]])
+        ekf.update(z, np.full(7, 0.01))
+        q = ekf.x[Q16]
+        spread.append(float(q @ ekf.P[Q16, Q16] @ q))
+    assert abs(spread[0]) < 1e-15
+    assert spread[1] > 1e-6
