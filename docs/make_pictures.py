@@ -5,13 +5,13 @@ hsvaos demo -o hsvaos-demo && python docs/make_pictures.py hsvaos-demo
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 import hsvaos
+from hsvaos.demo import demo_flight
 from hsvaos.report.figures import colour_map, encode, photo_picture, rarity_limits, stretch
 
 SIDE = 360
@@ -27,9 +27,7 @@ def fitted(picture: np.ndarray) -> np.ndarray:
 
 def main() -> None:
     """Write docs/before_after.jpg."""
-    folder = Path(sys.argv[1])
-    flight = hsvaos.open_flight(folder / "flight")
-    result = hsvaos.run(flight)
+    result = hsvaos.run(demo_flight())
     view = result.main
     seen = view.rays > 0
     low, high = rarity_limits(view.rarity_map, seen)

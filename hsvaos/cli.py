@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hsvaos.nav.command import nav
+from hsvaos.simulate.command import simulate
 
 if TYPE_CHECKING:
     from hsvaos.flight import Flight
@@ -26,6 +27,7 @@ app = typer.Typer(
 
 
 app.command()(nav)
+app.command()(simulate)
 
 
 class Mask(StrEnum):
@@ -79,22 +81,13 @@ def _root(
 
 @app.command()
 def demo(out: Out = Path("hsvaos-demo"), device: Device = "cpu", as_json: Json = False) -> None:
-    """Run the whole chain on a small flight that is made on the spot."""
+    """Run the whole chain on the small flight in the package: log, photos, finds, report."""
     from hsvaos.console import Console
     from hsvaos.demo import demo_flight
-    from hsvaos.formats.native_write import write_native
-    from hsvaos.formats.open import open_flight
     from hsvaos.report.atomic import check_writable
 
     check_writable(out)
-    console = Console(quiet=as_json)
-    folder = out / "flight"
-    if not (folder / "flight.toml").exists():
-        with console.progress() as progress:
-            flight, photos, truth = demo_flight()
-            shown = console.counted(photos, "drawing photos", len(flight), progress)
-            write_native(flight, folder, images=shown, truth=truth)
-    _run(open_flight(folder), out, _settings(None), device, console)
+    _run(demo_flight(), out, _settings(None), device, Console(quiet=as_json))
 
 
 @app.command()

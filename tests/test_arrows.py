@@ -32,7 +32,7 @@ ALLOWED = {
     "pipeline": BASE
     | {"photos", "masking", "kernels", "detect", "result", "rendering", "focusing", "viewing"},
     "sweeping": BASE | {"photos", "masking", "kernels", "rendering", "viewing", "focusing"},
-    "demo": BASE,
+    "demo": BASE | {"formats"},
     "report": BASE | {"detect", "result", "sweeping"},
 }
 """What each part may import when it is loaded; parts not named here may import anything."""

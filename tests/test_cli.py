@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 import hsvaos
-from hsvaos.demo import demo_flight
 from hsvaos.formats.native_write import write_native
+from tests.planes import planes_flight
 
 
 def cli(*args: object, timeout: float = 300.0) -> subprocess.CompletedProcess[str]:
@@ -28,7 +28,7 @@ def cli(*args: object, timeout: float = 300.0) -> subprocess.CompletedProcess[st
 @pytest.fixture(scope="module")
 def flight_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The demo flight with every fifth photo only: small, but real enough to run."""
-    flight, photos, truth = demo_flight()
+    flight, photos, truth = planes_flight()
     few = list(range(0, len(flight), 5))
     images = [photo for i, photo in enumerate(photos) if i in few]
     folder = tmp_path_factory.mktemp("flights") / "small"
@@ -58,7 +58,7 @@ def test_help_is_quick_and_names_the_commands() -> None:
     spent = after.children_user + after.children_system - before.children_user
     spent -= before.children_system
     assert done.returncode == 0
-    for command in ("demo", "run", "sweep", "nav", "info", "convert", "doctor"):
+    for command in ("demo", "run", "sweep", "nav", "simulate", "info", "convert", "doctor"):
         assert command in done.stdout
     assert spent < 2.0  # 0.2 s on a quiet machine; the limit is for loaded ones
     loaded = subprocess.run(
@@ -68,6 +68,15 @@ def test_help_is_quick_and_names_the_commands() -> None:
         check=True,
     ).stdout.split()
     assert not {"warp", "numpy", "cv2", "onnxruntime"} & set(loaded)
+
+
+def test_demo_runs_from_log_to_report(tmp_path: Path) -> None:
+    done = cli("demo", "-o", tmp_path / "demo", "--json")
+    assert done.returncode == 0, done.stderr
+    outcome = json.loads(done.stdout)
+    assert outcome["frames"] == 30
+    assert len(outcome["persons"]) == 2
+    assert (tmp_path / "demo" / "report.html").stat().st_size > 0
 
 
 def test_run_writes_the_folder_and_json(flight_folder: Path, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import cv2
@@ -9,24 +10,37 @@ import numpy as np
 import pytest
 
 import hsvaos
-from hsvaos.demo import demo_flight
+from hsvaos.demo import FOLDER, demo_flight
 from hsvaos.focusing import check_above, choose_surface, search_planes
 from hsvaos.formats.native_write import write_native
 from hsvaos.kernels.integrate import Integrator
 from hsvaos.photos import load_photos
 from hsvaos.settings import FocusSettings, MaskSettings, PhotoSettings, Settings, ViewSettings
 from hsvaos.viewing import choose_views, ground_grid
+from tests.planes import planes_flight
 
 
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory: pytest.TempPathFactory) -> hsvaos.Flight:
-    made, photos, truth = demo_flight()
+    made, photos, truth = planes_flight()
     folder = tmp_path_factory.mktemp("demo") / "flight"
     write_native(made, folder, images=photos, truth=truth)
     return hsvaos.open_flight(folder)
 
 
-def test_demo_shows_the_hidden_person_first(flight: hsvaos.Flight) -> None:
+def test_demo_finds_both_people_from_the_log_alone() -> None:
+    result = hsvaos.run(demo_flight())
+    truth = json.loads((FOLDER / "truth.json").read_text())["people"]
+    assert len(result.persons) == len(truth) == 2
+    for person in truth:
+        away = [
+            np.hypot(found.north_m - person["north_m"], found.east_m - person["east_m"])
+            for found in result.persons
+        ]
+        assert min(away) < 0.9  # within the body's length of its middle
+
+
+def test_person_under_leaves_comes_first(flight: hsvaos.Flight) -> None:
     seen = []
     result = hsvaos.run(flight, progress=lambda stage, done, total: seen.append((done, total)))
     best = result.persons[0]
