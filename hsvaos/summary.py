@@ -16,6 +16,7 @@ EXTRAS = {
     "geo": ("rasterio", "pyproj"),
     "logs": ("pyulog", "pymavlink"),
     "plot": ("matplotlib",),
+    "sim": ("mujoco",),
 }
 """Modules that each extra brings."""
 
