@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from hsvaos.camera import Camera
 from hsvaos.flight import Origin
+from hsvaos.geodesy import geodetic_from_ned
 from hsvaos.kernels.device import resolve_device
 from hsvaos.nav import attitude
-from hsvaos.nav.geodesy import geodetic_from_ned
 from hsvaos.nav.log import Mounting, SensorLog
 from hsvaos.simulate.buffers import instance_numbers, ray_table
 from hsvaos.simulate.forest import Forest, grow_forest
@@ -173,7 +173,7 @@ class Simulation:
             "triggers": {"file": np.array(self.names()), "t_s": self.flown.triggers_s},
         }
         if log.gnss is not None:
-            place = geodetic_from_ned(log.gnss.position, ORIGIN)
+            place = np.stack(geodetic_from_ned(log.gnss.position, ORIGIN), axis=-1)
             tables["gnss"] = _columns(
                 "t_s,lat_deg,lon_deg,alt_m,vn_m_s,ve_m_s,vd_m_s",
                 log.gnss.t_s,
