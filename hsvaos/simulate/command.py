@@ -153,6 +153,7 @@ def simulate(
     from rich.console import Console
 
     from hsvaos.camera import Camera
+    from hsvaos.kernels.device import quiet_start
     from hsvaos.simulate.forest import ForestSettings
     from hsvaos.simulate.mission import Mission
     from hsvaos.simulate.settings import SensorSettings, SimulationSettings
@@ -190,6 +191,7 @@ def simulate(
         thermal=thermal,
         jpeg_quality=quality,
     )
+    quiet_start()
     console = Console(stderr=True)
     settings = _solved(settings, closure, visible, device, console)
     _write(settings, output, device, preview, console)
