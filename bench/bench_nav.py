@@ -15,10 +15,10 @@ import time
 import warnings
 from collections.abc import Callable
 
-import nav_plain_eskf
 import numpy as np
 import pytest
 
+from bench import nav_plain_eskf
 from hsvaos.nav.error_state_ekf import ErrorStateEkf
 from hsvaos.nav.initial import InitialState
 from hsvaos.nav.log import BaroLog, GnssLog, ImuLog
