@@ -16,7 +16,10 @@ def main() -> None:
         sys.exit(130)
     except BrokenPipeError:
         sys.exit(1)
-    except (ValueError, TypeError, OSError, MemoryError) as error:
+    except Exception as error:
+        expected = isinstance(error, (ValueError, TypeError, OSError, MemoryError))
+        if not expected and type(error).__module__.partition(".")[0] != "cv2":
+            raise  # a fault of ours: its trace is what a report of it needs
         text = " ".join(str(error).split()) or type(error).__name__
         print(f"error: {text}", file=sys.stderr)
         sys.exit(2)

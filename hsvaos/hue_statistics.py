@@ -44,6 +44,11 @@ class HueStatistics:
     reason: str
     within: float
 
+    @property
+    def half_width_deg(self) -> float:
+        """Half width of the cut [deg]; half a bin is added, to which the mean is known."""
+        return self.sigmas * self.sigma_deg + 180.0 / BINS
+
     def to_dict(self) -> dict[str, Any]:
         """Return the fields as a dictionary for JSON."""
         return asdict(self)
@@ -89,7 +94,7 @@ def hue_statistics(
         mean = float((weights * centres).sum() / total)
         sigma = float(np.sqrt((weights * (centres - mean) ** 2).sum() / total))
         distance = np.abs(centres - mean)
-    within = float(weights[distance <= sigmas * sigma].sum() / total)
+    within = float(weights[distance <= sigmas * sigma + 180.0 / weights.size].sum() / total)
     reason = ""
     if chroma < MIN_CHROMA:
         reason = f"mean chroma {chroma:.3f} is below {MIN_CHROMA} (grey images)"

@@ -43,7 +43,11 @@ def run(
         FlightError: If the flight cannot be used; the message says what was expected and what came.
         ValueError: If a setting or the device makes no sense.
     """
-    settings = settings or Settings()
+    if not isinstance(flight, Flight):
+        raise TypeError(f"flight must be a Flight, see open_flight, got {type(flight).__name__}")
+    settings = Settings() if settings is None else settings
+    if not isinstance(settings, Settings):
+        raise TypeError(f"settings must be Settings, got {type(settings).__name__}")
     where = resolve_device(device)
     clock = _Clock()
 

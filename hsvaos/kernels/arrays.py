@@ -92,11 +92,16 @@ class Stack:
 
     def __init__(self, images: Any, device: Any, name: str = "images") -> None:
         if isinstance(images, (list, tuple)):
-            images = np.stack([np.asarray(image) for image in images])
+            images = _stacked(images, name)
         array = to_array(images, device, name)
         if array.ndim not in (3, 4) or (array.ndim == 4 and array.shape[3] != 3):
             raise ValueError(
                 f"{name} must have shape (N, H, W, 3) or (N, H, W), got {tuple(array.shape)}"
+            )
+        if array.ndim == 3 and array.shape[2] == 3 and array.shape[1] > 3:
+            raise ValueError(
+                f"{name} must have shape (N, H, W, 3) or (N, H, W), got {tuple(array.shape)}: one "
+                f"RGB image needs an axis in front, images[None]"
             )
         if 0 in array.shape:
             raise ValueError(f"{name} must not be empty, got shape {tuple(array.shape)}")
@@ -118,6 +123,39 @@ class Stack:
         """
         if self.channels != 3:
             raise ValueError("images must be RGB, shape (N, H, W, 3): grey images have no colour")
+
+
+def _stacked(images: Any, name: str) -> Any:
+    """One array of a list of images, which must be alike."""
+    arrays = [
+        image
+        if isinstance(image, np.ndarray) or not hasattr(image, "__dlpack__")
+        else np.from_dlpack(image)
+        for image in images
+    ]
+    arrays = [np.asarray(array) for array in arrays]
+    kinds = {(array.shape, array.dtype.name) for array in arrays}
+    if len(kinds) != 1:
+        found = ", ".join(f"{shape} {kind}" for shape, kind in sorted(kinds)) or "none"
+        raise ValueError(f"{name} must be alike in shape and type, got {found}")
+    return np.stack(arrays)
+
+
+def require_unit_range(stack: Stack) -> None:
+    """Raise where float images are clearly not 0..1, as colours are judged on that scale.
+
+    Raises:
+        ValueError: If a value above 2 is among a sample of the pixels.
+    """
+    if stack.scalar is not wp.float32:
+        return
+    for i in range(stack.count):
+        sample = stack.array[i].numpy()[::4, ::4]
+        top = float(np.max(sample, initial=0.0, where=np.isfinite(sample)))
+        if top > 2.0:
+            raise ValueError(
+                f"float images must run from 0 to 1, got values up to {top:.4g}: divide by 255?"
+            )
 
 
 def valid_array(valid: Any, stack: Stack) -> Any:
@@ -145,7 +183,25 @@ def valid_array(valid: Any, stack: Stack) -> Any:
             f"valid must have shape {(stack.height, stack.width)} or "
             f"{(stack.count, stack.height, stack.width)}, got {tuple(array.shape)}"
         )
-    return array.reshape((shape[0], stack.size))
+    rows = array.reshape((shape[0], stack.size))
+    if is_binary(rows):  # a mask of 0 and 1 means the same as one of 0 and 255
+        rows = to_array(rows.numpy() * np.uint8(255), stack.device, "valid")
+    return rows
+
+
+def is_binary(weights: Any) -> bool:
+    """Whether rows of uint8 hold 0 and 1 only, and both or only 1: a mask, not weights of 255ths.
+
+    Args:
+        weights: Warp array (N, H * W) of uint8. The first row of a mask of 0 and 255 decides.
+    """
+    seen_zero = False
+    for i in range(weights.shape[0]):
+        row = weights[i].numpy()
+        if row.max() > 1:
+            return False
+        seen_zero = seen_zero or row.min() == 0
+    return True
 
 
 def pixel_scales(stack: Stack, gains: Any = None) -> list[Any]:

@@ -14,6 +14,7 @@ from hsvaos.kernels.arrays import (
     like_input,
     output_array,
     pixel_view,
+    require_unit_range,
     scalar_type,
     valid_array,
 )
@@ -223,6 +224,7 @@ def brighten(
     if not max_gain >= 1.0:
         raise ValueError(f"max_gain must be at least 1, got {max_gain!r}")
     stack = Stack(images, device_of(images, device))
+    require_unit_range(stack)
     valid = valid_array(keep, stack)
     result = output_array(out, tuple(stack.array.shape), stack.scalar, stack.device, "out")
     kernel = _brighten_kernel(stack.pixel)

@@ -15,11 +15,12 @@ from hsvaos.kernels.arrays import (
     output_array,
     pixel_scales,
     pixel_view,
+    require_unit_range,
     valid_array,
 )
 from hsvaos.kernels.color import rgb_to_hsv_pixel
 from hsvaos.kernels.device import bands, launch
-from hsvaos.kernels.pixels import as_vec3
+from hsvaos.kernels.pixels import as_vec3, is_colour
 
 wp.set_module_options({"enable_backward": False})
 
@@ -45,7 +46,10 @@ def _histogram_kernel(pixel: Any) -> Any:
         i = wp.tid() + offset
         if valid[i] == wp.uint8(0):
             return
-        hsv = rgb_to_hsv_pixel(wp.cw_mul(as_vec3(rgb[i]), scale))
+        colour = wp.cw_mul(as_vec3(rgb[i]), scale)
+        if not is_colour(colour):
+            return
+        hsv = rgb_to_hsv_pixel(colour)
         chroma = wp.int64(hsv[1] * hsv[2] * _UNIT + 0.5)
         weight = wp.int64(1)
         if circular != 0:
@@ -73,7 +77,11 @@ def _mask_kernel(pixel: Any) -> Any:
         mask: wp.array(dtype=wp.uint8),
     ):
         i = wp.tid() + offset
-        hsv = rgb_to_hsv_pixel(wp.cw_mul(as_vec3(rgb[i]), scale))
+        colour = wp.cw_mul(as_vec3(rgb[i]), scale)
+        if not is_colour(colour):
+            mask[i] = wp.uint8(0)
+            return
+        hsv = rgb_to_hsv_pixel(colour)
         distance = wp.abs(hsv[0] - mean)
         keep = valid[i]
         if circular != 0:
@@ -115,6 +123,7 @@ def hue_histograms(
     stack = Stack(images, device_of(images, device))
     stack.require_colour()
     masks = valid_array(valid, stack)
+    require_unit_range(stack)
     kernel = _histogram_kernel(stack.pixel)
     shape = (stack.count, len(bands(stack.size, stack.device)), _SUMS)
     sums = wp.zeros(shape, dtype=wp.int64, device=stack.device)
@@ -157,7 +166,7 @@ def apply_hue_cut(
     kernel = _mask_kernel(stack.pixel)
     scales = pixel_scales(stack, gains)
     for i, s in enumerate(stats):
-        half_width = s.sigmas * s.sigma_deg if s.informative else -1.0
+        half_width = s.half_width_deg if s.informative else -1.0
         inputs = [
             *(scales[i], int(s.statistics == "circular"), s.mean_deg, half_width),
             *(stack.pixels[i], masks[i % masks.shape[0]], target[i]),

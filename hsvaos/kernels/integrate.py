@@ -13,6 +13,7 @@ from hsvaos.kernels.arrays import (
     Stack,
     check_gains,
     device_of,
+    is_binary,
     like_input,
     output_array,
     pixel_view,
@@ -162,16 +163,39 @@ class Integrator:
             raise ValueError(
                 f"world_from_camera must have shape ({stack.count}, 4, 4), got {poses.shape}"
             )
+        weights = self._without_gaps(weights)
         self.world_from_camera: NDArray[np.float64] = np.stack(
             [check_pose(pose, f"world_from_camera[{i}]") for i, pose in enumerate(poses)]
         )
         self._gains = check_gains(gains, stack)
         self._weights, self._weight_unit = self._check_weights(weights)
 
+    def _without_gaps(self, weights: Any) -> Any:
+        """Give pixels of float photos that are not finite the value and the weight 0."""
+        if self._stack.scalar is not wp.float32:
+            return weights
+        values = self._stack.array.numpy()
+        finite = np.isfinite(values).reshape(*values.shape[:3], -1).all(axis=-1)
+        if finite.all():
+            return weights
+        where = finite if self._stack.channels == 1 else finite[..., None]
+        self._stack = Stack(np.where(where, values, np.float32(0.0)), self.device)
+        if weights is None:
+            return finite
+        given, unit = self._check_weights(weights)
+        size = (self._stack.height, self._stack.width)
+        share = given.numpy().reshape(-1, *size).astype(np.float32) * np.float32(unit)
+        return np.where(finite, share, np.float32(0.0))
+
     def _check_weights(self, weights: Any) -> tuple[Any, float]:
         stack = self._stack
         if weights is None:
             return wp.empty((1, 1), dtype=wp.uint8, device=self.device), 0.0
+        host = isinstance(weights, np.ndarray)
+        if host and weights.dtype.name not in ("bool", "uint8", "float32"):
+            raise TypeError(f"weights must be bool, uint8 or float32, got {weights.dtype.name}")
+        if host and weights.dtype.kind == "f" and not (weights >= 0.0).all():
+            raise ValueError("weights must not be negative or NaN")
         array = to_array(weights, self.device, "weights")
         shape = tuple(array.shape)
         size = (stack.height, stack.width)
@@ -180,7 +204,7 @@ class Integrator:
         if array.dtype not in (wp.uint8, wp.float32):
             raise TypeError(f"weights must be uint8 or float32, got {array.dtype.__name__}")
         rows = pixel_view(array, array.dtype, (array.size // stack.size, stack.size))
-        bytes_of_weight = array.dtype is wp.uint8 and not _is_binary(rows)
+        bytes_of_weight = array.dtype is wp.uint8 and not is_binary(rows)
         return rows, 1.0 / 255.0 if bytes_of_weight else 1.0
 
     def __len__(self) -> int:
@@ -226,9 +250,10 @@ class Integrator:
             raise TypeError(
                 f"surface must be a FocalPlane or FocalTerrain, got {type(surface).__name__}"
             )
+        check_view(view)
         order, aperture2 = self._select(view, aperture_m, frames)
         shape = (view.height, view.width)
-        given = (None, None) if out is None else out
+        given = check_pair(out)
         channels = self._stack.channels
         image = output_array(given[0], (*shape, channels), wp.float32, self.device, "out[0]")
         footprint = output_array(given[1], shape, wp.float32, self.device, "out[1]")
@@ -265,9 +290,10 @@ class Integrator:
         downs = np.asarray(downs_m, dtype=np.float64)
         if downs.ndim != 1 or downs.size == 0 or not np.isfinite(downs).all():
             raise ValueError(f"downs_m must be a list of finite depths, got {downs_m!r}")
+        check_view(view)
         order, aperture2 = self._select(view, aperture_m, frames)
         shape = (downs.size, view.height, view.width)
-        given = (None, None) if out is None else out
+        given = check_pair(out)
         channels = self._stack.channels
         stack = output_array(given[0], (*shape, channels), wp.float32, self.device, "out[0]")
         footprint = output_array(given[1], shape, wp.float32, self.device, "out[1]")
@@ -318,6 +344,20 @@ class Integrator:
         return order[near[order]].astype(np.int32), _NO_LIMIT
 
 
-def _is_binary(weights: Any) -> bool:
-    """Whether uint8 weights are 0 and 1 only; the first photo of a mask of 0 and 255 decides."""
-    return all(int(weights[i].numpy().max()) <= 1 for i in range(weights.shape[0]))
+def check_view(view: Any) -> None:
+    """Raise TypeError where a view is none."""
+    if not isinstance(view, VirtualCamera):
+        raise TypeError(f"view must be a VirtualCamera, got {type(view).__name__}")
+
+
+def check_pair(out: Any) -> tuple[Any, Any]:
+    """Return the two arrays of `out`, or None twice.
+
+    Raises:
+        ValueError: If `out` is not a pair of arrays.
+    """
+    if out is None:
+        return None, None
+    if not isinstance(out, (tuple, list)) or len(out) != 2 or out[0] is None or out[1] is None:
+        raise ValueError("out must be a pair of arrays (image, footprint)")
+    return out[0], out[1]

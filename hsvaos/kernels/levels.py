@@ -7,7 +7,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from hsvaos.kernels.arrays import Stack, device_of, valid_array
+from hsvaos.kernels.arrays import Stack, device_of, require_unit_range, valid_array
 from hsvaos.kernels.device import bands, launch
 from hsvaos.kernels.pixels import as_vec3
 
@@ -58,6 +58,7 @@ def channel_quantiles(images: Any, *, valid: Any = None, device: Any = None) -> 
     """
     stack = Stack(images, device_of(images, device))
     stack.require_colour()
+    require_unit_range(stack)
     masks = valid_array(valid, stack)
     shape = (stack.count, len(bands(stack.size, stack.device)), 3, _LEVELS)
     counts = wp.zeros(shape, dtype=wp.int32, device=stack.device)

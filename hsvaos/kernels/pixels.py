@@ -116,6 +116,18 @@ def brightness(value: float) -> float:  # noqa: F811
 
 
 @wp.func
+def is_colour(value: wp.vec3) -> bool:
+    """Whether all channels are finite: float images may hold NaN where nothing was measured."""
+    return wp.isfinite(value[0]) and wp.isfinite(value[1]) and wp.isfinite(value[2])
+
+
+@wp.func
+def is_colour(value: float) -> bool:  # noqa: F811
+    """Whether a grey level is finite."""
+    return wp.isfinite(value)
+
+
+@wp.func
 def times_gain(value: wp.vec3, gain: wp.vec3) -> wp.vec3:
     """Colour with a factor on each channel."""
     return wp.cw_mul(value, gain)

@@ -18,12 +18,13 @@ from hsvaos.kernels.arrays import (
     output_array,
     pixel_scales,
     pixel_view,
+    require_unit_range,
     scalar_type,
     valid_array,
 )
 from hsvaos.kernels.device import bands, launch
 from hsvaos.kernels.lab import CURVE, GAMMA, gamma_table, lab_curve_table, lab_pixel
-from hsvaos.kernels.pixels import as_vec3
+from hsvaos.kernels.pixels import as_value, as_vec3, is_colour
 from hsvaos.rarity_model import (
     CHROMA_BINS,
     CHROMA_RANGE,
@@ -88,7 +89,7 @@ def _count_kernel(pixel: Any) -> Any:
         counts: wp.array2d(dtype=wp.int64),
     ):
         i = wp.tid() + offset
-        if valid[i] > wp.uint8(0):
+        if valid[i] > wp.uint8(0) and is_colour(as_value(image[i])):
             wp.atomic_add(counts, band, bin_of(image[i], scale, gamma, curve), wp.int64(1))
 
     return colour_histogram_kernel
@@ -114,6 +115,8 @@ def _weight_kernel(pixel: Any, scalar: Any) -> Any:
         weight = table[bin_of(image[i], scale, gamma, curve)]
         if valid[i] < wp.uint8(255):
             weight = scalar(float(weight) * float(valid[i]) / 255.0)
+        if not is_colour(as_value(image[i])):
+            weight = scalar(0.0)
         weights[i] = weight
 
     return rarity_weight_kernel
@@ -150,10 +153,11 @@ def rarity_model(
         raise ValueError(f"threshold must be a positive probability, got {threshold!r}")
     if not exponent > 0.0:
         raise ValueError(f"exponent must be positive, got {exponent!r}")
-    if not smoothing_bins >= 0.0:
-        raise ValueError(f"smoothing_bins must be 0 or more, got {smoothing_bins!r}")
+    if not 0.0 <= smoothing_bins <= CHROMA_BINS:
+        raise ValueError(f"smoothing_bins must lie in 0..{CHROMA_BINS}, got {smoothing_bins!r}")
     stack = Stack(images, device_of(images, device))
     masks = valid_array(valid, stack)
+    require_unit_range(stack)
     bins = _COLOUR_BINS if stack.channels == 3 else GREY_BINS
     counts = wp.zeros(
         (len(bands(stack.size, stack.device)), bins), dtype=wp.int64, device=stack.device
@@ -185,7 +189,8 @@ def apply_rarity(
     Args:
         images: Shape (N, H, W, 3) RGB or (N, H, W) grey, as the model.
         model: From `rarity_model`.
-        dtype: "uint8" (255 = weight 1; at least 1, so that every ray still counts) or "float32".
+        dtype: "uint8" (255 = weight 1; at least 2, so that every ray still counts and weights are
+            never taken for a mask of 0 and 1) or "float32".
         valid: User masks that multiply in.
         gains: Shape (N, 3), factors on R, G and B of each image, as when measured.
         out: Shape (N, H, W), written in place; new if None.
@@ -206,7 +211,7 @@ def apply_rarity(
     masks = valid_array(valid, stack)
     weights = model.weights.reshape(-1)
     if scalar is wp.uint8:
-        weights = np.maximum(np.rint(weights * 255.0), 1.0).astype(np.uint8)
+        weights = np.maximum(np.rint(weights * 255.0), 2.0).astype(np.uint8)
     table = wp.array(weights, dtype=scalar, device=stack.device)
     shape = (stack.count, stack.height, stack.width)
     result = output_array(out, shape, scalar, stack.device, "out")
@@ -243,7 +248,7 @@ def rarity_weights(
         threshold: p0; see `rarity_model`.
         exponent: Of the weight.
         smoothing_bins: Sigma of the Gaussian that smooths the histogram [bins].
-        dtype: "uint8" (255 = weight 1; at least 1) or "float32".
+        dtype: "uint8" (255 = weight 1; at least 2) or "float32".
         valid: Shape (H, W) or (N, H, W), uint8 or bool: user masks (0 = ignore), which multiply in
             and keep pixels out of the histogram.
         gains: Shape (N, 3), factors on R, G and B of each image; see `kernels.levels`.

@@ -53,7 +53,7 @@ def test_mask_equals_twin_but_for_the_boundary(
     masks, stats = hue_masks(images, 1.0, statistics, valid=valid, device=device)
     for n, s in enumerate(stats):
         distance = reference.hue_distance(images[n], s.mean_deg, statistics)
-        edge = s.sigmas * s.sigma_deg
+        edge = s.half_width_deg
         expected = np.where((distance > edge) | (not s.informative), valid[n], 0)
         clear = (np.abs(distance - edge) > BAND_DEG) | (not s.informative)
         np.testing.assert_array_equal(masks[n][clear], expected[clear])
