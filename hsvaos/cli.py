@@ -277,10 +277,11 @@ def _settings(path: Path | None, **tables: dict[str, Any]) -> Any:
 
 def _run(flight: Flight, out: Path, settings: Any, device: str, console: Any) -> None:
     from hsvaos.pipeline import run as run_pipeline
-    from hsvaos.report.views import ViewWriter
+    from hsvaos.report.views import ViewWriter, remove_views
     from hsvaos.report.write import write_result
 
     with console.progress() as progress:
+        remove_views(out)
         on_view = ViewWriter(out) if settings.view.frame == "all" else None
         result = run_pipeline(flight, settings, device=device, progress=progress, on_view=on_view)
         progress("writing pictures and report", 0, 1)

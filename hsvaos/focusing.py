@@ -21,6 +21,9 @@ _SEARCH_PX = 512
 
 _PLANES_AT_ONCE = 8
 
+_MIN_SPREAD = 0.01
+"""Spread of the cameras over their height below which there is no parallax to speak of."""
+
 _WEAK = 0.5
 """Prominence below which a focus peak deserves a warning."""
 
@@ -166,3 +169,27 @@ def check_above(flight: Flight, surface: FocalSurface) -> list[str]:
             f"ground, give a larger one"
         )
     return [f"{below} of {len(places)} cameras lie below the focal surface"] if below else []
+
+
+def without_parallax(flight: Flight, surface: FocalSurface) -> str | None:
+    """Return a warning where all photos were taken from one place, else None.
+
+    Trees are seen past only from several places: the cameras must be spread over at least a
+    hundredth of their height above the surface.
+
+    Args:
+        flight: The flight, with poses.
+        surface: The focal surface.
+    """
+    places = flight.poses[:, :3, 3]
+    spread = float(np.linalg.norm(places - places.mean(axis=0), axis=1).max())
+    if isinstance(surface, FocalPlane):
+        height = float(np.abs((places - surface.point) @ surface.normal).max())
+    else:
+        height = float(np.abs(surface.lowest_m - places[:, 2]).max())
+    if len(places) > 1 and spread >= _MIN_SPREAD * height:
+        return None
+    return (
+        f"{len(places)} photo{'s' if len(places) > 1 else ''} from one place: nothing is seen past "
+        f"the trees, and no finds are looked for"
+    )

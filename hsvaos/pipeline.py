@@ -8,7 +8,7 @@ from typing import Any
 
 from hsvaos.detect.locate import merge_views
 from hsvaos.flight import Flight
-from hsvaos.focusing import choose_surface
+from hsvaos.focusing import choose_surface, without_parallax
 from hsvaos.kernels.device import resolve_device
 from hsvaos.masking import as_bytes, make_masks
 from hsvaos.photos import Progress, load_photos, with_poses
@@ -60,6 +60,10 @@ def run(
     by = make_integrators(photos, masks, settings.mask.method)
     sharp = (by.plain, by.rarity_map)
     surface, focus_notes = choose_surface(photos.flight, settings.focus, sharp, progress)
+    still = without_parallax(photos.flight, surface)
+    if still is not None:
+        settings = settings.with_values(detect={"enabled": False})
+        focus_notes = (*focus_notes, still)
     clock("focus")
     views, shown = choose_views(photos.flight, settings.view, surface)
     renderer = Renderer(by, settings, surface)

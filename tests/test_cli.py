@@ -120,6 +120,9 @@ def test_every_mask_and_view(flight_folder: Path, tmp_path: Path) -> None:
     assert len(list((tmp_path / "all" / "views").glob("*.png"))) == 6
     views = json.loads((tmp_path / "all" / "detections.json").read_text())["views"]
     assert len(views) == 6
+    (tmp_path / "all" / "views" / "mine.txt").write_text("keep")
+    done = cli("run", flight_folder, "-o", tmp_path / "all", "--json")  # no mix of two runs
+    assert [p.name for p in (tmp_path / "all" / "views").iterdir()] == ["mine.txt"]
     done = cli("run", flight_folder, "-o", tmp_path / "grid", "--view", "ortho", "--gsd", 0.1)
     assert done.returncode == 0, done.stderr
     assert "report.html" in done.stdout
@@ -318,4 +321,4 @@ def test_ctrl_c_leaves_no_half_file(flight_folder: Path, tmp_path: Path) -> None
     assert not (out / "report.html").exists()
     for picture in out.rglob("*.png"):
         assert cv2.imread(str(picture)) is not None
-    assert all(p.suffix == ".png" for p in out.rglob("*") if p.is_file())
+    assert all(p.suffix in (".png", ".txt") for p in out.rglob("*") if p.is_file())

@@ -157,3 +157,22 @@ def test_tilted_plane_and_aperture_change_the_picture(flight: hsvaos.Flight) -> 
     narrow = hsvaos.run(flight, settings.with_values(view={"aperture_m": 3.0}))
     assert narrow.main.footprint.max() < wide.main.footprint.max()
     assert narrow.main.footprint.max() >= 1.0
+
+
+@pytest.mark.parametrize("count", [1, 4])
+def test_photos_from_one_place_show_nothing_and_say_so(flight: hsvaos.Flight, count: int) -> None:
+    from dataclasses import replace
+
+    pose = flight.frames[0].world_from_camera
+    frames = tuple(replace(frame, world_from_camera=pose) for frame in flight.frames[:count])
+    result = hsvaos.run(flight.replace(frames=frames))
+    assert not result.detected
+    assert result.persons == ()
+    assert any("from one place" in note for note in result.notes)
+
+
+def test_what_is_no_flight_and_no_settings_is_refused(flight: hsvaos.Flight) -> None:
+    with pytest.raises(TypeError, match="flight must be a Flight"):
+        hsvaos.run("folder")  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="settings must be Settings"):
+        hsvaos.run(flight, {})  # type: ignore[arg-type]
