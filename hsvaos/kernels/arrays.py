@@ -11,6 +11,9 @@ from hsvaos.kernels.device import resolve_device
 SCALE = {wp.uint8: 255.0, wp.uint16: 65535.0, wp.float32: 1.0}
 """Value of full white by scalar type; float images are 0..1 where colour matters."""
 
+_TINY = 16
+"""Side from which (H, W, 3) is one RGB image, and not H grey ones three pixels wide."""
+
 RGB = {wp.uint8: wp.vec3ub, wp.uint16: wp.vec3us, wp.float32: wp.vec3}
 """Pixel type of RGB images by scalar type."""
 
@@ -98,7 +101,7 @@ class Stack:
             raise ValueError(
                 f"{name} must have shape (N, H, W, 3) or (N, H, W), got {tuple(array.shape)}"
             )
-        if array.ndim == 3 and array.shape[2] == 3 and array.shape[1] > 3:
+        if array.ndim == 3 and array.shape[2] == 3 and min(array.shape[:2]) > _TINY:
             raise ValueError(
                 f"{name} must have shape (N, H, W, 3) or (N, H, W), got {tuple(array.shape)}: one "
                 f"RGB image needs an axis in front, images[None]"

@@ -90,7 +90,7 @@ def test_what_is_no_image_and_no_weight_is_refused() -> None:
     with pytest.raises(ValueError, match="alike in shape and type"):
         Integrator(CAMERA, [images[0], images[1].astype(np.float32)], [POSE] * 2)
     with pytest.raises(ValueError, match=r"images\[None\]"):
-        Integrator(CAMERA, images[0], [POSE])
+        Integrator(CAMERA, np.zeros((20, 30, 3), np.uint8), [POSE])
     with pytest.raises(ValueError, match="negative or NaN"):
         Integrator(CAMERA, images, [POSE] * 2, np.full((2, 12, 16), -0.5, np.float32))
     with pytest.raises(TypeError, match="weights must be bool, uint8 or float32, got float64"):
