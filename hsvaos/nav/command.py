@@ -41,7 +41,7 @@ def nav(
         float | None, typer.Option(help="How late fixes are stamped [s]; estimated by default.")
     ] = None,
     rate: Annotated[
-        float, typer.Option(help="Rows a second to write; 0 writes every IMU sample.")
+        float, typer.Option(help="Rows a second to write; 0: each IMU sample and measurement.")
     ] = 0.0,
     poses: Annotated[
         Path | None, typer.Option(help="Also write the camera's pose at each photo (poses.csv).")
@@ -112,7 +112,8 @@ def summary(trajectory: Trajectory, name: str) -> Table:
     table = Table(title=f"{name}: {seconds:.1f} s, {how}", title_justify="left")
     for head in ("sensor", "rate [Hz]", "used", "gated", "mean NIS"):
         table.add_column(head, justify="left" if head == "sensor" else "right")
-    table.add_row("imu", f"{(len(trajectory.t_s) - 1) / seconds:.1f}", str(len(trajectory.t_s)))
+    samples = trajectory.imu_samples
+    table.add_row("imu", f"{(samples - 1) / seconds:.1f}", str(samples))
     for sensor, seen in trajectory.innovations.items():
         again = f" ({seen.recoveries} times let in again)" if seen.recoveries else ""
         table.add_row(
