@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -58,10 +59,14 @@ def nav(
     from hsvaos.formats.sensor_log import open_sensor_log
     from hsvaos.formats.trajectory_csv import write_poses, write_trajectory
     from hsvaos.nav.estimate import estimate_trajectory
-    from hsvaos.nav.plot import draw, need_matplotlib
+    from hsvaos.nav.plot import check_format, draw
 
+    # before the work, not after it
+    for option, path in (("--output", output), ("--poses", poses), ("--plot", plot)):
+        if path is not None:
+            _check_target(option, path)
     if plot is not None:
-        need_matplotlib()  # before the work, not after it
+        check_format(plot)
     log = open_sensor_log(flight)
     if poses is not None and not log.triggers:
         raise FlightError(f"{flight}: --poses needs times of photos (triggers), got none")
@@ -99,6 +104,19 @@ def nav(
     if plot is not None:
         draw(trajectory, plot, title=log.name)
         console.print(f"{plot}: figure", highlight=False, markup=False)
+
+
+def _check_target(option: str, path: Path) -> None:
+    """Refuse a file that cannot be written."""
+    from hsvaos.flight import FlightError
+
+    expected = f"{option} {path}: expected a file in an existing folder"
+    if path.is_dir():
+        raise FlightError(f"{expected}, got a folder")
+    if not path.parent.is_dir():
+        raise FlightError(f"{expected}, got {path.parent}, which is no folder")
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise FlightError(f"{expected} that may be written, got one that may not")
 
 
 def summary(trajectory: Trajectory, name: str) -> Table:
