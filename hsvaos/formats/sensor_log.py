@@ -16,6 +16,7 @@ from hsvaos.nav.log import Mounting, SensorLog
 
 _ULOG_MAGIC = b"ULog\x01\x12\x35"
 _DATAFLASH_MAGIC = b"\xa3\x95"
+_ONE_FILE = (".ulg", ".bin")
 _KINDS = ("imu", "gnss", "baro", "mag", "triggers")
 
 
@@ -24,7 +25,7 @@ def open_sensor_log(path: str | Path) -> SensorLog:
 
     Args:
         path: A flight folder with a [nav] table in flight.toml, a folder with imu.csv, a PX4 ULog
-            file, or an ArduPilot DataFlash file.
+            file, an ArduPilot DataFlash file, or a folder with just one of these files.
 
     Raises:
         FlightError: If it is none of these, or cannot be read.
@@ -37,9 +38,13 @@ def open_sensor_log(path: str | Path) -> SensorLog:
             return _from_toml(path)
         if is_csv_log(path):
             return read_csv_folder(path)
+        logs = _logs_in(path)
+        if len(logs) == 1:
+            log = open_sensor_log(logs[0])
+            return log.replace(notes=(f"{logs[0].name}: the one log in {path}", *log.notes))
         raise FlightError(
             f"{path}: expected a sensor log (flight.toml with a [nav] table, or imu.csv), got a "
-            "folder with neither"
+            "folder with neither" + _give_one(logs)
         )
     if not path.is_file():
         raise FlightError(f"{path}: no such file or folder")
@@ -57,6 +62,21 @@ def open_sensor_log(path: str | Path) -> SensorLog:
         f"{path}: expected a PX4 ULog or an ArduPilot DataFlash log, got a file that begins with "
         f"{head!r}"
     )
+
+
+def _logs_in(folder: Path) -> list[Path]:
+    """Return the files of a folder that are named like an autopilot's log."""
+    return sorted(
+        file for file in folder.iterdir() if file.suffix.lower() in _ONE_FILE and file.is_file()
+    )
+
+
+def _give_one(logs: list[Path]) -> str:
+    """Return the end of a message: which files could be given instead."""
+    if not logs:
+        return ""
+    names = ", ".join(file.name for file in logs[:3]) + (" ..." if len(logs) > 3 else "")
+    return f"; give a log file itself ({names})"
 
 
 def sensor_log_of(flight: Flight) -> SensorLog:
@@ -91,7 +111,10 @@ def _from_toml(folder: Path) -> SensorLog:
         raise FlightError(f"{file}: expected TOML: {error}") from None
     nav = table.get("nav")
     if not isinstance(nav, dict) or "imu" not in nav:
-        raise FlightError(f'{file}: expected a [nav] table with imu = "...", got none')
+        raise FlightError(
+            f'{file}: expected a [nav] table with imu = "...", got none'
+            + _give_one(_logs_in(folder))
+        )
     world = table.get("world", {})
     origin = None
     if "origin_lat_deg" in world and "origin_lon_deg" in world:

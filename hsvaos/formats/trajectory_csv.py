@@ -40,7 +40,7 @@ def write_trajectory(path: Path, trajectory: Trajectory, rate_hz: float = 0.0) -
     Args:
         path: The file; its folder is made if it is not there.
         trajectory: The trajectory.
-        rate_hz: Rows a second, or 0 for a row at each IMU sample.
+        rate_hz: Rows a second, or 0 for a row at each IMU sample and measurement.
 
     Returns:
         Number of rows.

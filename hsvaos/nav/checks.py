@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hsvaos.flight import FlightError
+from hsvaos.geodesy import geodetic_from_ned
 from hsvaos.nav.attitude import check_unit
 from hsvaos.nav.log import BaroLog, GnssLog, ImuLog, SensorLog
 from hsvaos.nav.process import GAP_S
@@ -14,15 +15,20 @@ Array = NDArray[np.float64]
 
 _LEAST_SAMPLES = 50
 _LONGEST_GAP_S = 5.0
+_SLOWEST_STEP_S = 0.5
+_FAR_ORIGIN_KM, _FARTHEST_ORIGIN_KM = 5.0, 50.0
+_MOST_FORCE = 320.0  # [m/s^2], 32 g: more than any IMU of a drone measures
+_MOST_RATE = 70.0  # [rad/s], 4000 deg/s
 
 
 def check_log(log: SensorLog) -> SensorLog:
     """Return the log fit for a filter, with notes on what was repaired.
 
-    Repaired and counted: samples that are not finite, repeated stamps, short gaps (the filter
-    widens its uncertainty over them), fixes and heights out of order, fixes at 0 N 0 E. Refused:
-    IMU time running backwards, long gaps, units other than rad/s and m/s^2, z axis up, too few
-    samples, no fix at all.
+    Repaired and counted: IMU samples that are not finite or beyond any IMU, repeated stamps, short
+    gaps (the filter widens its uncertainty over them), fixes and heights out of order, fixes
+    without position or velocity, fixes at 0 N 0 E. Refused: IMU time running backwards or not in
+    seconds, long gaps, units other than rad/s and m/s^2, z axis up, too few samples, no fix at
+    all, an origin far from the fixes.
 
     Raises:
         FlightError: If the log cannot be used; says which sensor, what was expected, what came.
@@ -55,6 +61,7 @@ def _imu(log: SensorLog, notes: list[str]) -> ImuLog:
         raise FlightError(f"{log.name}: imu: {bad} of {len(good)} samples are not finite numbers")
     if bad:
         notes.append(f"imu: {bad} samples that are not finite numbers were left out")
+    good &= _believable(log.name, imu, good, notes)
     t = imu.t_s[good]
     _refuse_backwards(log.name, t)
     fresh = np.concatenate([[True], np.diff(t) > 0.0]) if len(t) else np.zeros(0, dtype=bool)
@@ -67,6 +74,7 @@ def _imu(log: SensorLog, notes: list[str]) -> ImuLog:
             f"{log.name}: imu: expected at least {_LEAST_SAMPLES} samples, got {len(imu.t_s)}"
         )
     steps = np.diff(imu.t_s)
+    _check_seconds(log.name, float(np.median(steps)))
     longest = int(np.argmax(steps))
     if steps[longest] > _LONGEST_GAP_S:
         raise FlightError(
@@ -82,6 +90,27 @@ def _imu(log: SensorLog, notes: list[str]) -> ImuLog:
     return imu
 
 
+def _believable(
+    name: str, imu: ImuLog, good: NDArray[np.bool_], notes: list[str]
+) -> NDArray[np.bool_]:
+    """Return which samples lie within what an IMU can measure; spikes are counted."""
+    force, rate = np.linalg.norm(imu.accel, axis=1), np.linalg.norm(imu.gyro, axis=1)
+    wild = good & ((force > _MOST_FORCE) | (rate > _MOST_RATE))
+    count = int(wild.sum())
+    limits = f"{_MOST_FORCE:g} m/s^2 or {_MOST_RATE:g} rad/s"
+    if count > 0.1 * len(good):
+        if len(imu.t_s[good]) > 1:
+            _check_units(name, ImuLog(imu.t_s[good], imu.gyro[good], imu.accel[good]))
+        raise FlightError(
+            f"{name}: imu: {count} of {len(good)} samples are above {limits}: expected m/s^2 and "
+            f"rad/s without spikes, got up to {force[good].max():.3g} m/s^2 and "
+            f"{rate[good].max():.3g} rad/s"
+        )
+    if count:
+        notes.append(f"imu: {count} samples above {limits} (spikes) were left out")
+    return np.asarray(~wild)
+
+
 def _refuse_backwards(name: str, t: Array) -> None:
     """Refuse an IMU clock that runs backwards."""
     back = np.flatnonzero(np.diff(t) < 0.0)
@@ -91,6 +120,25 @@ def _refuse_backwards(name: str, t: Array) -> None:
             f"{name}: imu: time runs backwards at sample {k + 1} ({t[k + 1]:.6f} s after "
             f"{t[k]:.6f} s; {len(back)} times in all): expected increasing seconds"
         )
+
+
+def _check_seconds(name: str, step: float) -> None:
+    """Refuse stamps in thousandths of a second or less."""
+    if step <= _SLOWEST_STEP_S:
+        return
+    unit, factor = next(
+        (unit, factor)
+        for above, unit, factor in (
+            (5e5, "nanoseconds", "1e-9"),
+            (5e2, "microseconds", "1e-6"),
+            (0.0, "milliseconds", "1e-3"),
+        )
+        if step > above
+    )
+    raise FlightError(
+        f"{name}: imu: stamps are {step:g} apart (median): expected seconds, at most "
+        f"{_SLOWEST_STEP_S:g} s apart; they look like {unit} (multiply by {factor})"
+    )
 
 
 def _check_units(name: str, imu: ImuLog) -> None:
@@ -145,6 +193,15 @@ def _gnss(log: SensorLog, notes: list[str]) -> GnssLog:
     keep = np.isfinite(gnss.t_s) & (np.isfinite(gnss.position) | np.isfinite(gnss.velocity)).any(1)
     order, out_of_order, repeated = _in_order(gnss.t_s, keep)
     _note_order("gnss", int((~keep).sum()), out_of_order, repeated, notes)
+    for numbers, what in ((gnss.position, "position"), (gnss.velocity, "velocity")):
+        lacking = ~np.isfinite(numbers[order]).all(axis=1)
+        # a receiver without velocities at all is no flaw
+        if 0 < int(lacking.sum()) < len(order):
+            notes.append(
+                f"gnss: {int(lacking.sum())} of {len(order)} fixes lack a finite {what}: only "
+                "what else they hold was used"
+            )
+    _check_origin(log, gnss.position[order], notes)
 
     def take(values: Array | None) -> Array | None:
         return None if values is None else values[order]
@@ -159,6 +216,28 @@ def _gnss(log: SensorLog, notes: list[str]) -> GnssLog:
         take(gnss.position_std),
         take(gnss.velocity_std),
     )
+
+
+def _check_origin(log: SensorLog, position: Array, notes: list[str]) -> None:
+    """Refuse an origin so far off that the local frame is not level at the fixes."""
+    there = position[np.isfinite(position).all(axis=1)]
+    if log.origin is None or not len(there):
+        return
+    place = np.median(there, axis=0)
+    km = float(np.linalg.norm(place)) / 1000.0
+    if km <= _FAR_ORIGIN_KM:
+        return
+    lat, lon, _ = (float(v) for v in geodetic_from_ned(place, log.origin))
+    said = (
+        f"the origin ({log.origin.lat_deg:.5f} N {log.origin.lon_deg:.5f} E) is {km:.1f} km from "
+        f"the GNSS fixes (about {lat:.5f} N {lon:.5f} E)"
+    )
+    if km > _FARTHEST_ORIGIN_KM:
+        raise FlightError(
+            f"{log.name}: {said}: expected one within {_FARTHEST_ORIGIN_KM:g} km; correct "
+            "origin_lat_deg and origin_lon_deg or leave them out"
+        )
+    notes.append(f"gnss: {said}: the local frame is not quite level there")
 
 
 def _baro(log: SensorLog, baro: BaroLog, notes: list[str]) -> BaroLog | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -41,7 +42,7 @@ def nav(
         float | None, typer.Option(help="How late fixes are stamped [s]; estimated by default.")
     ] = None,
     rate: Annotated[
-        float, typer.Option(help="Rows a second to write; 0 writes every IMU sample.")
+        float, typer.Option(help="Rows a second to write; 0: each IMU sample and measurement.")
     ] = 0.0,
     poses: Annotated[
         Path | None, typer.Option(help="Also write the camera's pose at each photo (poses.csv).")
@@ -58,10 +59,14 @@ def nav(
     from hsvaos.formats.sensor_log import open_sensor_log
     from hsvaos.formats.trajectory_csv import write_poses, write_trajectory
     from hsvaos.nav.estimate import estimate_trajectory
-    from hsvaos.nav.plot import draw, need_matplotlib
+    from hsvaos.nav.plot import check_format, draw
 
+    # before the work, not after it
+    for option, path in (("--output", output), ("--poses", poses), ("--plot", plot)):
+        if path is not None:
+            _check_target(option, path)
     if plot is not None:
-        need_matplotlib()  # before the work, not after it
+        check_format(plot)
     log = open_sensor_log(flight)
     if poses is not None and not log.triggers:
         raise FlightError(f"{flight}: --poses needs times of photos (triggers), got none")
@@ -101,6 +106,19 @@ def nav(
         console.print(f"{plot}: figure", highlight=False, markup=False)
 
 
+def _check_target(option: str, path: Path) -> None:
+    """Refuse a file that cannot be written."""
+    from hsvaos.flight import FlightError
+
+    expected = f"{option} {path}: expected a file in an existing folder"
+    if path.is_dir():
+        raise FlightError(f"{expected}, got a folder")
+    if not path.parent.is_dir():
+        raise FlightError(f"{expected}, got {path.parent}, which is no folder")
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise FlightError(f"{expected} that may be written, got one that may not")
+
+
 def summary(trajectory: Trajectory, name: str) -> Table:
     """Return the table that the command prints: duration, rates, gates, NIS, final spread."""
     import numpy as np
@@ -112,7 +130,8 @@ def summary(trajectory: Trajectory, name: str) -> Table:
     table = Table(title=f"{name}: {seconds:.1f} s, {how}", title_justify="left")
     for head in ("sensor", "rate [Hz]", "used", "gated", "mean NIS"):
         table.add_column(head, justify="left" if head == "sensor" else "right")
-    table.add_row("imu", f"{(len(trajectory.t_s) - 1) / seconds:.1f}", str(len(trajectory.t_s)))
+    samples = trajectory.imu_samples
+    table.add_row("imu", f"{(samples - 1) / seconds:.1f}", str(samples))
     for sensor, seen in trajectory.innovations.items():
         again = f" ({seen.recoveries} times let in again)" if seen.recoveries else ""
         table.add_row(

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from hsvaos.flight import Flight
+from hsvaos.flight import Flight, FlightError
 from hsvaos.nav import attitude
 from hsvaos.nav.align import moved
 from hsvaos.nav.checks import check_log
@@ -32,6 +32,8 @@ from hsvaos.nav.trajectory import Trajectory, trajectory_of
 T = TypeVar("T")
 
 _PASSES = 4
+_LEAST_JUDGED = 10
+_LEAST_ACCEPTED = 0.1
 
 FILTERS = ("error-state", "paper")
 """Names of the filters."""
@@ -66,7 +68,7 @@ def estimate_trajectory(
         The trajectory; its notes say what was assumed.
 
     Raises:
-        FlightError: If the log cannot be used.
+        FlightError: If the log cannot be used, or the estimate lost the fixes.
         ValueError: If an argument is not one of those named.
     """
     if filter not in FILTERS:
@@ -91,6 +93,7 @@ def estimate_trajectory(
         ).run(_zeroed(models), models.start, progress=report("filter"))
     else:
         states = _error_state(models, smooth, report)
+    _refuse_lost(log.name, states)
     notes = (*models.notes, *states.notes)
     return trajectory_of(replace(states, notes=notes, history=None), models.log)
 
@@ -121,6 +124,25 @@ def _error_state(
         again = ekf.run(models.log, start, progress=report("filter"))
         out = replace(smooth_states(again), notes=states.notes)
     return out
+
+
+def _refuse_lost(name: str, states: States) -> None:
+    """Refuse an estimate that hardly any fix agrees with."""
+    if not np.isfinite(states.vector).all():
+        raise FlightError(
+            f"{name}: the estimate is lost: expected finite states, got some that are not; check "
+            "the IMU for spikes, its units and its axes (forward, right, down)"
+        )
+    accepted = [
+        seen.accepted for sensor, seen in states.innovations.items() if sensor.startswith("gnss")
+    ]
+    passed, count = sum(int(a.sum()) for a in accepted), sum(len(a) for a in accepted)
+    if count >= _LEAST_JUDGED and passed < _LEAST_ACCEPTED * count:
+        raise FlightError(
+            f"{name}: the estimate is lost: expected most GNSS measurements within their gate, got "
+            f"{passed} of {count}; the IMU does not fit the fixes: check it for spikes, its axes "
+            "(forward, right, down) and that both keep one clock"
+        )
 
 
 def _spread_ratio(states: States) -> float:

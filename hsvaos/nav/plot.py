@@ -27,6 +27,26 @@ def need_matplotlib() -> None:
         raise FlightError("--plot needs matplotlib: pip install 'hsvaos[plot]'")
 
 
+def check_format(path: Path) -> None:
+    """Refuse a picture of a format that matplotlib does not write.
+
+    Args:
+        path: Picture to write.
+
+    Raises:
+        FlightError: If matplotlib is not installed.
+        ValueError: If the ending says no known format.
+    """
+    need_matplotlib()
+    from matplotlib.backend_bases import FigureCanvasBase
+
+    if path.suffix.lower()[1:] not in FigureCanvasBase.get_supported_filetypes():
+        raise ValueError(
+            f"{path}: expected a figure ending in .png, .pdf or .svg, got "
+            f"{path.suffix or 'no ending'}"
+        )
+
+
 def draw(trajectory: Trajectory, path: Path, title: str = "") -> None:
     """Draw a trajectory into a file.
 
@@ -39,7 +59,7 @@ def draw(trajectory: Trajectory, path: Path, title: str = "") -> None:
         FlightError: If matplotlib is not installed.
         ValueError: If the format is not one that matplotlib writes.
     """
-    need_matplotlib()
+    check_format(path)
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hsvaos.nav import attitude
+from hsvaos.nav.epochs import MICRO
 from hsvaos.nav.log import Mounting, SensorLog
 from hsvaos.nav.measurements import P, V
 from hsvaos.nav.process import gravity_of
@@ -21,7 +22,7 @@ _BLOCK = 512
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """The path of the body (IMU) through the local frame, at the rate of the IMU.
+    """The path of the body (IMU) through the local frame, at each IMU sample and measurement.
 
     Args:
         t_s: Shape (M,), increasing [s].
@@ -31,6 +32,7 @@ class Trajectory:
         states: What the filter or smoother left at its epochs: covariances, biases, innovations.
         mounting: Camera and antenna on the vehicle.
         notes: What was assumed, repaired or left out, one line each.
+        imu_samples: Number of IMU samples within its span.
     """
 
     t_s: Array
@@ -40,6 +42,7 @@ class Trajectory:
     states: States
     mounting: Mounting
     notes: tuple[str, ...] = ()
+    imu_samples: int = 0
 
     @property
     def innovations(self) -> dict[str, Innovations]:
@@ -186,7 +189,7 @@ _POSE = np.array([0, 1, 2, 6, 7, 8])
 
 
 def trajectory_of(states: States, log: SensorLog) -> Trajectory:
-    """Return the trajectory at every IMU sample between the epochs of a filter or smoother.
+    """Return the trajectory at the epochs of a filter or smoother and every IMU sample between.
 
     From each epoch the IMU is integrated with the biases known there; what then disagrees with the
     next epoch (a smoother's biases change a little from epoch to epoch) is spread evenly over the
@@ -227,8 +230,16 @@ def trajectory_of(states: States, log: SensorLog) -> Trajectory:
             (states.t_s[:1], states.vector[:1, P], states.vector[:1, V], quaternion[:1])
         )
     )
+    within = (log.imu.t_s >= t[0] - MICRO) & (log.imu.t_s <= t[-1] + MICRO)
     return Trajectory(
-        t, p, v, attitude.normalize(q), states, log.mounting, log.notes + states.notes
+        t,
+        p,
+        v,
+        attitude.normalize(q),
+        states,
+        log.mounting,
+        log.notes + states.notes,
+        int(within.sum()),
     )
 
 

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hsvaos.flight import FlightError
+from hsvaos.flight import FlightError, Origin
+from hsvaos.geodesy import ned_from_llh
 from hsvaos.nav.checks import check_log
 from hsvaos.nav.log import GnssLog, ImuLog, Mounting
 
@@ -140,3 +141,55 @@ def test_noise_that_is_not_positive_is_refused(log):
     wrong = replace(log.gnss, position_std=np.zeros_like(log.gnss.position))
     with pytest.raises(FlightError, match="position std must be positive"):
         check_log(log.replace(gnss=wrong))
+
+
+@pytest.mark.parametrize(("kind", "value"), [("accel", 1e6), ("accel", -400.0), ("gyro", 80.0)])
+def test_spikes_beyond_any_imu_are_left_out_and_many_refused(log, kind, value):
+    values = getattr(log.imu, kind).copy()
+    values[1500] = value
+    checked = check_log(imu(log, **{kind: values}))
+    assert checked.notes == ("imu: 1 samples above 320 m/s^2 or 70 rad/s (spikes) were left out",)
+    assert len(checked.imu.t_s) == len(log.imu.t_s) - 1
+    assert np.linalg.norm(checked.imu.accel, axis=1).max() < 320.0
+    values[: len(values) // 5] = value
+    with pytest.raises(FlightError, match=r"samples are above 320 m/s\^2 or 70 rad/s|look like"):
+        check_log(imu(log, **{kind: values}))
+
+
+@pytest.mark.parametrize(
+    ("factor", "unit"), [(1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds")]
+)
+def test_stamps_not_in_seconds_are_named(log, factor, unit):
+    with pytest.raises(FlightError, match=rf"expected seconds.*look like {unit}"):
+        check_log(imu(log, t_s=log.imu.t_s * factor))
+
+
+@pytest.mark.parametrize(("what", "other"), [("position", "velocity"), ("velocity", "position")])
+def test_fixes_without_a_position_or_velocity_are_counted(log, what, other):
+    values = getattr(log.gnss, what).copy()
+    values[20:27] = np.nan
+    checked = check_log(log.replace(gnss=replace(log.gnss, **{what: values})))
+    count = len(log.gnss.t_s)
+    assert checked.notes == (
+        f"gnss: 7 of {count} fixes lack a finite {what}: only what else they hold was used",
+    )
+    assert len(getattr(checked.gnss, other)) == count
+
+
+def test_a_receiver_without_velocities_is_no_flaw(log):
+    none = replace(log.gnss, velocity=np.full_like(log.gnss.velocity, np.nan))
+    assert check_log(log.replace(gnss=none)).notes == ()
+
+
+def test_an_origin_far_from_the_fixes(log):
+    far, near = Origin(10.0, 11.0, 400.0), Origin(48.09, 11.0, 400.0)
+    shift = ned_from_llh((48.0, 11.0, 450.0), far)
+    moved = replace(log.gnss, position=log.gnss.position + shift)
+    with pytest.raises(
+        FlightError, match=r"the origin \(10\.0.* is 4136\.\d km from .*about 4[78]\."
+    ):
+        check_log(log.replace(gnss=moved, origin=far))
+    shift = ned_from_llh((48.0, 11.0, 450.0), near)
+    moved = replace(log.gnss, position=log.gnss.position + shift)
+    (note,) = check_log(log.replace(gnss=moved, origin=near)).notes
+    assert "is 10.0 km from the GNSS fixes" in note

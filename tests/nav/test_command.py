@@ -75,6 +75,29 @@ def test_wrong_options_are_raised_for_the_cli_to_print(folder, tmp_path, argumen
     assert not (tmp_path / "t.csv").exists()
 
 
+@pytest.mark.parametrize("option", ["-o", "--poses", "--plot"])
+def test_targets_are_checked_before_the_work(tmp_path, option):
+    (tmp_path / "file").write_text("")
+    for target, got in (
+        (tmp_path, "got a folder"),
+        (tmp_path / "no" / "t.png", "no, which is no folder"),
+        (tmp_path / "file" / "t.png", "file, which is no folder"),
+    ):
+        result = run(tmp_path / "nowhere", option, target)
+        assert isinstance(result.exception, FlightError)
+        assert "expected a file in an existing folder" in str(result.exception)
+        assert str(result.exception).endswith(got)
+
+
+@pytest.mark.parametrize(("name", "got"), [("f.foo", ".foo"), ("f", "no ending")])
+def test_the_format_of_the_figure_is_checked_before_the_work(tmp_path, name, got):
+    result = run(tmp_path / "nowhere", "--plot", tmp_path / name)
+    assert isinstance(result.exception, ValueError)
+    assert str(result.exception).endswith(
+        f"expected a figure ending in .png, .pdf or .svg, got {got}"
+    )
+
+
 def test_what_is_not_there_is_raised(tmp_path):
     result = run(tmp_path / "nowhere")
     assert isinstance(result.exception, FlightError)

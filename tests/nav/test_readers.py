@@ -108,8 +108,14 @@ def test_what_is_no_log_is_refused(tmp_path):
     (tmp_path / "x.bin").write_bytes(b"hello world")
     with pytest.raises(FlightError, match="expected a PX4 ULog or an ArduPilot DataFlash log"):
         open_sensor_log(tmp_path / "x.bin")
+    # the one log of a folder is taken, so its own flaw is said
+    with pytest.raises(FlightError, match=r"x\.bin: expected a PX4 ULog"):
+        open_sensor_log(tmp_path)
+    (tmp_path / "y.ULG").write_bytes(b"hello world")
+    with pytest.raises(FlightError, match=r"neither; give a log file itself \(x\.bin, y\.ULG\)"):
+        open_sensor_log(tmp_path)
     (tmp_path / "flight.toml").write_text("[flight]\nname = 'x'\n")
-    with pytest.raises(FlightError, match=r"expected a \[nav\] table"):
+    with pytest.raises(FlightError, match=r"expected a \[nav\] table.*\(x\.bin, y\.ULG\)"):
         open_sensor_log(tmp_path)
 
 
@@ -126,6 +132,12 @@ def test_px4_log(logs):
     assert log.gnss is None
     with pytest.raises(FlightError, match=r"missing: vehicle_gps_position or sensor_gps"):
         check_log(log)
+
+
+def test_the_one_log_of_a_folder_is_taken(logs):
+    log = open_sensor_log(logs / "px4")
+    assert log.name == "sample.ulg"
+    assert log.notes[0].startswith("sample.ulg: the one log in ")
 
 
 def test_a_ulog_cut_short_or_broken_is_read_or_refused(logs, tmp_path):

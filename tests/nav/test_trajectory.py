@@ -41,7 +41,7 @@ def trajectory(log, start):
 
 
 def test_runs_at_the_rate_of_the_imu_through_the_states(trajectory, log):
-    assert len(trajectory.t_s) == len(log.imu.t_s)
+    assert len(trajectory.t_s) == len(log.imu.t_s) == trajectory.imu_samples
     states = trajectory.states
     position, velocity, q = trajectory.at(states.t_s)
     np.testing.assert_allclose(position, states.position, atol=1e-3)
@@ -210,3 +210,30 @@ def test_names_are_public_and_a_wrong_name_is_refused(log):
         estimate_trajectory(log, filter="ukf")
     with pytest.raises(ValueError, match=r"imu must be one of .*got 'best'"):
         estimate_trajectory(log, imu="best")
+
+
+def test_an_estimate_that_lost_the_fixes_is_refused(log):
+    presets = {"imu": "adis16448", "gnss": "sbas", "gnss_latency_s": 0.0}
+    spike = log.imu.accel.copy()
+    spike[2500] = 1e6
+    good = estimate_trajectory(log.replace(imu=replace(log.imu, accel=spike)), **presets)
+    assert any("1 samples above 320" in note for note in good.notes)
+    assert abs(good.position).max() < 60.0
+    # push after push, each within what an IMU can measure
+    pushed = log.imu.accel.copy()
+    pushed[300:, 0] += np.where(np.arange(len(pushed) - 300) % 40 < 10, 250.0, 0.0)
+    with pytest.raises(FlightError, match=r"the estimate is lost: expected most GNSS.* got \d+ of"):
+        estimate_trajectory(
+            log.replace(imu=replace(log.imu, accel=pushed)), smooth=False, **presets
+        )
+
+
+def test_imu_samples_are_counted_without_the_epochs_between(log, start):
+    every = slice(None, None, 7)
+    slow = replace(
+        log.imu, t_s=log.imu.t_s[every], gyro=log.imu.gyro[every], accel=log.imu.accel[every]
+    )
+    sparse = log.replace(imu=slow)
+    sparse = trajectory_of(ErrorStateEkf(IMU, GNSS, BARO).run(sparse, start(1)), sparse)
+    assert sparse.imu_samples == len(slow.t_s)
+    assert len(sparse.t_s) > 1.3 * len(slow.t_s)
