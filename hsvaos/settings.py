@@ -6,7 +6,6 @@ import dataclasses
 import math
 import tomllib
 from dataclasses import dataclass, field, fields
-from functools import cache
 from numbers import Integral, Real
 from pathlib import Path
 from types import UnionType
@@ -254,7 +253,7 @@ class Settings:
             kind: Any = stages[name]
             if not isinstance(table, dict):
                 raise ValueError(f"{where}: {name} must be a table [{name}], got {table!r}")
-            _known(table, _hints(kind), f"{where}: [{name}]", "key")
+            _known(table, get_type_hints(kind), f"{where}: [{name}]", "key")
             try:
                 read[name] = kind(**table)
             except (TypeError, ValueError) as error:
@@ -293,14 +292,9 @@ def _known(given: dict[str, Any], allowed: dict[str, Any], where: str, what: str
         raise ValueError(f"{where}: no {what} {unknown[0]!r}; known are {', '.join(allowed)}")
 
 
-@cache
-def _hints(kind: type) -> dict[str, Any]:
-    return get_type_hints(kind)
-
-
 def _check_types(settings: object, table: str = "") -> None:
     """Check the type of every field of a settings object, and take over numbers as their type."""
-    for key, hint in _hints(type(settings)).items():
+    for key, hint in get_type_hints(type(settings)).items():
         name = f"{table}.{key}" if table else key
         object.__setattr__(settings, key, _checked(getattr(settings, key), hint, name))
 
