@@ -259,6 +259,14 @@ def test_what_is_bad_is_left_out_where_the_rest_can_be_used(folder):
     np.testing.assert_allclose(flight.poses[3, :3, :3], np.eye(3), atol=1e-12)
 
 
+@pytest.mark.parametrize("north", ["1e12", "-1e30"])
+def test_poses_beyond_the_earth_are_left_out(folder, north):
+    edit(folder, "poses.csv", "001.png,1.0,1.0,", f"001.png,1.0,{north},")
+    flight = hsvaos.open_flight(folder)
+    assert [f.name for f in flight.frames] == ["000.png", "002.png"]
+    assert any("pose must lie within 10000 km of the origin" in note for note in flight.notes)
+
+
 def test_unknown_flights(tmp_path, folder):
     with pytest.raises(FlightError, match=r"gone: no such folder or file"):
         hsvaos.open_flight(tmp_path / "gone")
