@@ -14,6 +14,7 @@ from hsvaos.camera import Camera
 from hsvaos.flight import Flight, FlightError, Frame, Origin
 from hsvaos.formats.native_write import write_native
 from hsvaos.formats.poses import quaternion_from_rotation, rotation_from_quaternion
+from hsvaos.formats.trajectory_csv import TRAJECTORY_COLUMNS
 
 NOISE = np.random.default_rng(2).integers(0, 256, (6, 8, 3), dtype=np.uint8)
 CAMERA = Camera(8, 6, 7.25, 7.5, 3.4, 2.6, (-0.1, 0.02, 1e-3, -2e-3, 0.5))
@@ -265,6 +266,13 @@ def test_poses_beyond_the_earth_are_left_out(folder, north):
     flight = hsvaos.open_flight(folder)
     assert [f.name for f in flight.frames] == ["000.png", "002.png"]
     assert any("pose must lie within 10000 km of the origin" in note for note in flight.notes)
+
+
+def test_a_trajectory_in_place_of_poses_gets_a_hint(folder, tmp_path):
+    path = tmp_path / "trajectory.csv"
+    path.write_text(f"{TRAJECTORY_COLUMNS}\n")
+    with pytest.raises(FlightError, match=r"missing file, .*hsvaos nav FLIGHT --poses FILE writes"):
+        hsvaos.open_flight(folder, poses=path)
 
 
 def test_unknown_flights(tmp_path, folder):
