@@ -275,6 +275,22 @@ def test_a_trajectory_in_place_of_poses_gets_a_hint(folder, tmp_path):
         hsvaos.open_flight(folder, poses=path)
 
 
+def test_unknown_keys_and_tables_are_noted(folder):
+    edit(folder, "flight.toml", "[world]", '[foo]\nbar = 1\n\n[world]\nterrian = "dem.tif"')
+    edit(folder, "flight.toml", "[flight]", 'poses = "x.csv"\n[flight]')
+    edit(folder, "flight.toml", "[camera]", "[camera]\nfocal_mm = 8")
+    flight = hsvaos.open_flight(folder)
+    path = folder / "flight.toml"
+    assert flight.notes == (
+        f"{path}: passed over 'poses', 'foo' at the top level; known are the tables [flight], "
+        "[camera], [frames], [world], [nav]",
+        f"{path}: passed over 'focal_mm' in [camera]; known are model, width, height, fx, fy, cx, "
+        "cy, distortion, fov_deg",
+        f"{path}: passed over 'terrian' in [world]; known are frame, origin_lat_deg, "
+        "origin_lon_deg, origin_height_m, ground_down_m, terrain",
+    )
+
+
 def test_unknown_flights(tmp_path, folder):
     with pytest.raises(FlightError, match=r"gone: no such folder or file"):
         hsvaos.open_flight(tmp_path / "gone")
