@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
-from hsvaos.camera import finite_number
 
 if TYPE_CHECKING:
     from hsvaos.flight import Origin
@@ -82,7 +81,12 @@ class FocalTerrain:
         if np.isinf(down).any() or np.isnan(down).all():
             raise ValueError("down_m must hold finite metres (NaN for holes), and some of them")
         for name in ("north0_m", "east0_m", "spacing_m"):
-            object.__setattr__(self, name, finite_number(getattr(self, name), name))
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, Real):
+                raise TypeError(f"{name} must be a number, got {value!r}")
+            if not np.isfinite(float(value)):
+                raise ValueError(f"{name} must be finite, got {value!r}")
+            object.__setattr__(self, name, float(value))
         if self.spacing_m <= 0.0:
             raise ValueError(f"spacing_m must be a positive distance, got {self.spacing_m!r}")
         object.__setattr__(self, "down_m", down)
