@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+from numbers import Real
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,6 +14,53 @@ Matrix = NDArray[np.float64]
 
 _UNDISTORT_STEPS = 20
 """Newton steps; each about squares the error, so this is far more than any real lens needs."""
+
+FARTHEST_M = 1e7
+"""Camera positions farther than this from the origin of the local frame are taken for errors [m].
+
+It is the distance from the pole to the equator."""
+
+
+def finite_number(value: Any, name: str) -> float:
+    """Return a number as float, or say what is wrong with it.
+
+    Args:
+        value: The number.
+        name: What to call it in the message.
+
+    Raises:
+        TypeError: If it is no real number.
+        ValueError: If it is NaN, infinite or beyond the range of float64.
+    """
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise TypeError(f"{name} must be a number, got {value!r}")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise ValueError(f"{name} must be finite, got {value!r}")
+    return number
+
+
+def checked_fov(fov_deg: Any) -> float:
+    """Return a field of view as float.
+
+    Raises:
+        TypeError: If it is no real number.
+        ValueError: If it is outside (0, 180).
+    """
+    angle = finite_number(fov_deg, "fov_deg")
+    if not 0.0 < angle < 180.0:
+        raise ValueError(f"fov_deg must lie between 0 and 180 degrees, got {fov_deg!r}")
+    return angle
+
+
+def _pixel_count(value: Any, name: str) -> int:
+    number = finite_number(value, name)
+    if number < 1.0 or not number.is_integer():
+        raise ValueError(f"{name} must be a positive whole number of pixels, got {value!r}")
+    return int(number)
 
 
 @dataclass(frozen=True)
@@ -31,6 +81,7 @@ class Camera:
 
     Raises:
         ValueError: If a size or a focal length is not positive, or a number is not finite.
+        TypeError: If one of them is no number.
     """
 
     width: int
@@ -43,23 +94,21 @@ class Camera:
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):
-            value = getattr(self, name)
-            if int(value) != value or value < 1:
-                raise ValueError(f"{name} must be a positive whole number of pixels, got {value!r}")
-            object.__setattr__(self, name, int(value))
+            object.__setattr__(self, name, _pixel_count(getattr(self, name), name))
         for name in ("fx", "fy", "cx", "cy"):
-            value = float(getattr(self, name))
-            if not np.isfinite(value):
-                raise ValueError(f"{name} must be finite, got {value!r}")
+            value = finite_number(getattr(self, name), name)
             if name in ("fx", "fy") and value <= 0:
                 raise ValueError(f"{name} must be a positive focal length in pixels, got {value!r}")
             object.__setattr__(self, name, value)
-        coefficients = tuple(float(k) for k in self.distortion)
-        if len(coefficients) != 5 or not np.isfinite(coefficients).all():
+        try:
+            coefficients = [finite_number(k, "distortion") for k in self.distortion]
+        except (TypeError, ValueError):
+            coefficients = []
+        if len(coefficients) != 5:
             raise ValueError(
                 f"distortion must be 5 finite numbers (k1, k2, p1, p2, k3), got {self.distortion!r}"
             )
-        object.__setattr__(self, "distortion", coefficients)
+        object.__setattr__(self, "distortion", tuple(coefficients))
 
     @classmethod
     def from_fov(cls, width: int, height: int, fov_deg: float) -> Camera:
@@ -71,10 +120,11 @@ class Camera:
             fov_deg: Horizontal field of view over the full width [deg], between 0 and 180.
 
         Raises:
-            ValueError: If fov_deg is outside (0, 180).
+            ValueError: If fov_deg is outside (0, 180), or a size is not positive.
+            TypeError: If one of them is no number.
         """
-        if not 0.0 < fov_deg < 180.0:
-            raise ValueError(f"fov_deg must lie between 0 and 180 degrees, got {fov_deg!r}")
+        width, height = _pixel_count(width, "width"), _pixel_count(height, "height")
+        fov_deg = checked_fov(fov_deg)
         focal = width / 2.0 / np.tan(np.radians(fov_deg) / 2.0)
         return cls(width, height, focal, focal, (width - 1) / 2.0, (height - 1) / 2.0)
 
@@ -219,9 +269,13 @@ def check_pose(pose: ArrayLike, name: str) -> Matrix:
         name: What to call it in the message.
 
     Raises:
-        ValueError: If the shape, a NaN, or a matrix that is no rotation forbids its use.
+        ValueError: If the shape, a NaN, a matrix that is no rotation, or a position farther than
+            `FARTHEST_M` from the origin forbids its use.
     """
-    matrix = np.array(pose, dtype=np.float64)
+    try:
+        matrix = np.array(pose, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be a 4x4 matrix of numbers, got {pose!r:.60}") from None
     if matrix.shape == (3, 4):
         matrix = np.vstack([matrix, [0.0, 0.0, 0.0, 1.0]])
     if matrix.shape != (4, 4):
@@ -230,13 +284,19 @@ def check_pose(pose: ArrayLike, name: str) -> Matrix:
         raise ValueError(f"{name} must be finite, got NaN or infinity")
     rotation = matrix[:3, :3]
     error = np.abs(rotation @ rotation.T - np.eye(3)).max()
-    if error > 1e-3 or np.linalg.det(rotation) < 0.0:
+    if not error <= 1e-3 or np.linalg.det(rotation) < 0.0:
         raise ValueError(
             f"{name} must hold a rotation (R R' = I, det R = 1), got |R R' - I| = {error:.2g} "
             f"and det R = {np.linalg.det(rotation):.3f}"
         )
     if not np.array_equal(matrix[3], [0.0, 0.0, 0.0, 1.0]):
         raise ValueError(f"{name} must have the last row 0 0 0 1, got {matrix[3].tolist()}")
+    distance = math.hypot(*matrix[:3, 3])
+    if distance > FARTHEST_M:
+        raise ValueError(
+            f"{name} must lie within {FARTHEST_M / 1e3:.0f} km of the origin, "
+            f"got {distance / 1e3:.3g} km"
+        )
     return matrix
 
 
@@ -250,7 +310,9 @@ class VirtualCamera:
         world_from_camera: Shape (4, 4), camera frame to world NED [m].
 
     Raises:
-        ValueError: If the pose holds no rotation or is not finite.
+        ValueError: If the pose holds no rotation or is not finite, or a view without a camera has
+            no ground sampling distance or no size.
+        TypeError: If the camera is none.
     """
 
     camera: Camera | None
@@ -263,8 +325,21 @@ class VirtualCamera:
     def __post_init__(self) -> None:
         pose = check_pose(self.world_from_camera, "world_from_camera")
         object.__setattr__(self, "world_from_camera", pose)
-        if self.camera is not None:
-            object.__setattr__(self, "size", (self.camera.width, self.camera.height))
+        if self.camera is None:
+            gsd_m = finite_number(self.gsd_m, "gsd_m")
+            if gsd_m <= 0.0:
+                raise ValueError(
+                    f"gsd_m of a view without a camera must be a positive number of metres "
+                    f"(see VirtualCamera.ortho), got {self.gsd_m!r}"
+                )
+            width, height = self.size
+            size = _pixel_count(width, "width"), _pixel_count(height, "height")
+            object.__setattr__(self, "gsd_m", gsd_m)
+        elif isinstance(self.camera, Camera):
+            size = self.camera.width, self.camera.height
+        else:
+            raise TypeError(f"camera must be a Camera, got {self.camera!r}")
+        object.__setattr__(self, "size", size)
 
     @classmethod
     def ortho(
@@ -282,16 +357,16 @@ class VirtualCamera:
             height: Rows, counted to the south [px].
 
         Raises:
-            ValueError: If gsd_m or a size is not positive.
+            ValueError: If gsd_m or a size is not positive, or a size is no whole number.
+            TypeError: If one of them is no number.
         """
-        if not (np.isfinite(gsd_m) and gsd_m > 0.0):
+        if not finite_number(gsd_m, "gsd_m") > 0.0:
             raise ValueError(f"gsd_m must be a positive number of metres, got {gsd_m!r}")
-        if int(width) < 1 or int(height) < 1:
-            raise ValueError(f"width and height must be positive, got {width!r} x {height!r}")
+        north0, east0 = finite_number(north0, "north0"), finite_number(east0, "east0")
         pose = np.eye(4)
         pose[:3, :3] = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]  # x = E, y = S, z = D
         pose[:3, 3] = [north0, east0, 0.0]
-        return cls(None, pose, float(gsd_m), (int(width), int(height)))
+        return cls(None, pose, gsd_m, (width, height))
 
     @property
     def is_ortho(self) -> bool:

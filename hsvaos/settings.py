@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import tomllib
 from dataclasses import dataclass, field, fields
+from numbers import Integral, Real
 from pathlib import Path
 from types import UnionType
 from typing import Any, get_args, get_type_hints
 
 MASKS = ("hue", "rarity", "anomaly", "none")
+
+_MOST_STEPS = 10_000
+_MOST_SMOOTHING_BINS = 40.0
+"""The width of the colour histogram: more smoothing only costs time."""
 
 
 @dataclass(frozen=True)
@@ -25,6 +31,7 @@ class PhotoSettings:
     level: bool = True
 
     def __post_init__(self) -> None:
+        _check_types(self, "photos")
         _require(0.0 < self.scale <= 1.0, "photos.scale", "a factor in (0, 1]", self.scale)
 
 
@@ -64,6 +71,7 @@ class MaskSettings:
     anomaly_quantile: float = 0.99
 
     def __post_init__(self) -> None:
+        _check_types(self, "mask")
         _one_of(self.method, "mask.method", MASKS)
         _one_of(self.statistics, "mask.statistics", ("circular", "linear"))
         _one_of(self.scope, "mask.scope", ("image", "flight"))
@@ -75,7 +83,9 @@ class MaskSettings:
             value = getattr(self, name)
             _require(value > 0.0, f"mask.{name}", "a positive number", value)
         smoothing = self.rarity_smoothing_bins
-        _require(smoothing >= 0.0, "mask.rarity_smoothing_bins", "0 or more", smoothing)
+        expected = f"between 0 and {_MOST_SMOOTHING_BINS:g} bins"
+        usable = 0.0 <= smoothing <= _MOST_SMOOTHING_BINS
+        _require(usable, "mask.rarity_smoothing_bins", expected, smoothing)
         quantile = self.anomaly_quantile
         _require(0.0 < quantile < 1.0, "mask.anomaly_quantile", "between 0 and 1", quantile)
 
@@ -101,9 +111,11 @@ class FocusSettings:
     steps: int = 48
 
     def __post_init__(self) -> None:
+        _check_types(self, "focus")
         asked = [self.down_m is not None, self.terrain is not None, self.autofocus]
         _require(sum(asked) <= 1, "focus", "only one of down_m, terrain and autofocus", "several")
-        _require(self.steps >= 3, "focus.steps", "at least 3 planes", self.steps)
+        expected = f"between 3 and {_MOST_STEPS} planes"
+        _require(3 <= self.steps <= _MOST_STEPS, "focus.steps", expected, self.steps)
 
 
 @dataclass(frozen=True)
@@ -122,6 +134,7 @@ class ViewSettings:
     aperture_m: float | None = None
 
     def __post_init__(self) -> None:
+        _check_types(self, "view")
         for name in ("gsd_m", "aperture_m"):
             value = getattr(self, name)
             _require(value is None or value > 0.0, f"view.{name}", "a positive length", value)
@@ -149,6 +162,7 @@ class DetectSettings:
     min_agreement: float = 0.5
 
     def __post_init__(self) -> None:
+        _check_types(self, "detect")
         _require(self.min_z > 0.0, "detect.min_z", "a positive number", self.min_z)
         _require(self.person_m > 0.0, "detect.person_m", "a positive length", self.person_m)
         _require(self.min_rays >= 0.0, "detect.min_rays", "0 or more", self.min_rays)
@@ -170,6 +184,7 @@ class Settings:
 
     Raises:
         ValueError: If a value is out of range; the message names the setting.
+        TypeError: If it is of another type; whole numbers are taken where others are expected.
     """
 
     photos: PhotoSettings = field(default_factory=PhotoSettings)
@@ -177,6 +192,9 @@ class Settings:
     focus: FocusSettings = field(default_factory=FocusSettings)
     view: ViewSettings = field(default_factory=ViewSettings)
     detect: DetectSettings = field(default_factory=DetectSettings)
+
+    def __post_init__(self) -> None:
+        _check_types(self)
 
     def with_values(self, **tables: dict[str, Any]) -> Settings:
         """Return the settings with some values changed.
@@ -235,15 +253,10 @@ class Settings:
             kind: Any = stages[name]
             if not isinstance(table, dict):
                 raise ValueError(f"{where}: {name} must be a table [{name}], got {table!r}")
-            hints = get_type_hints(kind)
-            _known(table, hints, f"{where}: [{name}]", "key")
-            values = {
-                key: _checked(value, hints[key], f"{where}: {name}.{key}")
-                for key, value in table.items()
-            }
+            _known(table, get_type_hints(kind), f"{where}: [{name}]", "key")
             try:
-                read[name] = kind(**values)
-            except ValueError as error:
+                read[name] = kind(**table)
+            except (TypeError, ValueError) as error:
                 raise ValueError(f"{where}: {error}") from None
         return cls(**read)
 
@@ -252,11 +265,13 @@ class Settings:
         """Read settings from a TOML file.
 
         Raises:
-            OSError: If it cannot be read.
-            ValueError: As `from_toml`.
+            OSError: If it is there but cannot be read.
+            ValueError: If there is no such file, or as `from_toml`.
         """
         try:
             text = Path(path).read_text(encoding="utf-8")
+        except FileNotFoundError:
+            raise ValueError(f"{path}: no such settings file") from None
         except UnicodeDecodeError:
             raise ValueError(f"{path}: expected a text file in UTF-8") from None
         return cls.from_toml(text, str(path))
@@ -277,13 +292,27 @@ def _known(given: dict[str, Any], allowed: dict[str, Any], where: str, what: str
         raise ValueError(f"{where}: no {what} {unknown[0]!r}; known are {', '.join(allowed)}")
 
 
+def _check_types(settings: object, table: str = "") -> None:
+    """Check the type of every field of a settings object, and take over numbers as their type."""
+    for key, hint in get_type_hints(type(settings)).items():
+        name = f"{table}.{key}" if table else key
+        object.__setattr__(settings, key, _checked(getattr(settings, key), hint, name))
+
+
 def _checked(value: Any, hint: Any, name: str) -> Any:
     kinds = get_args(hint) if isinstance(hint, UnionType) else (hint,)
-    if float in kinds and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
+    if float in kinds and isinstance(value, Real) and not isinstance(value, bool):
+        try:
+            number = float(value)
+        except OverflowError:
+            number = math.inf
+        _require(math.isfinite(number), name, "a finite number", value)
+        return number
+    if int in kinds and isinstance(value, Integral) and not isinstance(value, bool):
+        return int(value)
     if not any(type(value) is kind for kind in kinds):
         expected = " or ".join(k.__name__ for k in kinds if k is not type(None))
-        raise ValueError(f"{name} must be {expected}, got {value!r}")
+        raise TypeError(f"{name} must be {expected}, got {value!r}")
     return value
 
 

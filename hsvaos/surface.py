@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -63,7 +64,9 @@ class FocalTerrain:
             columns to the east. NaN where unknown.
 
     Raises:
-        ValueError: If the grid is smaller than 2 x 2, has no finite node or no positive spacing.
+        ValueError: If the grid is smaller than 2 x 2, has no finite node or no positive spacing, or
+            its corner is not finite.
+        TypeError: If the corner or the spacing is no number.
     """
 
     north0_m: float
@@ -77,7 +80,14 @@ class FocalTerrain:
             raise ValueError(f"down_m must be a grid of at least 2 x 2, got shape {down.shape}")
         if np.isinf(down).any() or np.isnan(down).all():
             raise ValueError("down_m must hold finite metres (NaN for holes), and some of them")
-        if not (np.isfinite(self.spacing_m) and self.spacing_m > 0.0):
+        for name in ("north0_m", "east0_m", "spacing_m"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, Real):
+                raise TypeError(f"{name} must be a number, got {value!r}")
+            if not np.isfinite(float(value)):
+                raise ValueError(f"{name} must be finite, got {value!r}")
+            object.__setattr__(self, name, float(value))
+        if self.spacing_m <= 0.0:
             raise ValueError(f"spacing_m must be a positive distance, got {self.spacing_m!r}")
         object.__setattr__(self, "down_m", down)
 
@@ -91,7 +101,7 @@ class FocalTerrain:
             down_m: Shape (rows, columns) [m], NaN where unknown.
 
         Raises:
-            ValueError: If shapes differ or the axes are not evenly spaced.
+            ValueError: If shapes differ, or the axes are not evenly spaced or turn back.
         """
         north = np.asarray(north_m, dtype=np.float64)
         east = np.asarray(east_m, dtype=np.float64)
@@ -101,6 +111,11 @@ class FocalTerrain:
                 f"down_m must have shape (len(north_m), len(east_m)) = ({north.size}, {east.size}) "
                 f"and at least 2 x 2 nodes, got {down.shape}"
             )
+        for name, axis in (("north_m", north), ("east_m", east)):
+            if not np.isfinite(axis).all():
+                raise ValueError(f"{name} must hold finite metres, got NaN or infinity")
+            if abs(np.sign(np.diff(axis)).sum()) != axis.size - 1:
+                raise ValueError(f"{name} must rise or fall all along, got {str(axis)[:60]}")
         steps = np.concatenate([np.abs(np.diff(north)), np.abs(np.diff(east))])
         spacing = float(steps.mean())
         if not np.allclose(steps, spacing, rtol=1e-3, atol=0.0):

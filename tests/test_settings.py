@@ -2,12 +2,21 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hsvaos.settings import DetectSettings, FocusSettings, MaskSettings, Settings, ViewSettings
+from hsvaos.settings import (
+    DetectSettings,
+    FocusSettings,
+    MaskSettings,
+    PhotoSettings,
+    Settings,
+    ViewSettings,
+)
 
 positive = st.floats(1e-6, 1e6)
 
@@ -56,6 +65,43 @@ def test_whole_numbers_are_taken_for_lengths() -> None:
 def test_bad_toml_is_named(text: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Settings.from_toml(text)
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "message"),
+    [
+        (Settings, {"mask": "hue"}, "mask must be MaskSettings, got 'hue'"),
+        (Settings, {"mask": {"method": "hue"}}, "mask must be MaskSettings, got {"),
+        (Settings, {"focus": None}, "focus must be FocusSettings, got None"),
+        (ViewSettings, {"frame": 3}, "view.frame must be str, got 3"),
+        (ViewSettings, {"gsd_m": float("inf")}, "view.gsd_m must be a finite number, got inf"),
+        (FocusSettings, {"down_m": float("nan")}, "focus.down_m must be a finite number, got nan"),
+        (FocusSettings, {"from_m": 10**400}, "focus.from_m must be a finite number"),
+        (FocusSettings, {"autofocus": 1}, "focus.autofocus must be bool, got 1"),
+        (FocusSettings, {"steps": 10001}, "focus.steps must be between 3 and 10000 planes, got"),
+        (DetectSettings, {"max_finds": 1.5}, "detect.max_finds must be int, got 1.5"),
+        (DetectSettings, {"max_finds": True}, "detect.max_finds must be int, got True"),
+        (MaskSettings, {"sigmas": "2"}, "mask.sigmas must be float, got '2'"),
+        (MaskSettings, {"method": ["hue"]}, "mask.method must be str, got"),
+        (MaskSettings, {"rarity_smoothing_bins": 41}, "rarity_smoothing_bins must be between 0"),
+        (PhotoSettings, {"scale": None}, "photos.scale must be float, got None"),
+    ],
+)
+def test_bad_values_in_python_are_named(kind: type, values: dict[str, Any], message: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=message):
+        kind(**values)
+
+
+def test_numbers_of_numpy_are_taken_as_plain_ones() -> None:
+    focus = FocusSettings(down_m=np.float32(2.5), steps=np.int64(9))  # type: ignore[arg-type]
+    assert (type(focus.down_m), type(focus.steps)) == (float, int)
+    assert "down_m = 2.5" in Settings(focus=focus).to_toml()
+    assert type(MaskSettings(sigmas=2).sigmas) is float
+
+
+def test_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"gone\.toml: no such settings file"):
+        Settings.from_file(tmp_path / "gone.toml")
 
 
 def test_file_that_is_no_text(tmp_path: Path) -> None:

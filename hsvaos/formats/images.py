@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -40,6 +41,36 @@ class Photo:
     alpha: Mask | None
 
 
+class _Quiet:
+    """Keeps OpenCV's warnings, such as of TIFF tags it does not know, off the error stream.
+
+    OpenCV has one level for the whole process: the first thread that decodes sets it, and the last
+    one that ends restores what was there before.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._inside = 0
+        self._before = 0
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if self._inside == 0:
+                level = cv2.utils.logging.getLogLevel()
+                self._before = level
+                cv2.utils.logging.setLogLevel(min(level, cv2.utils.logging.LOG_LEVEL_ERROR))
+            self._inside += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._inside -= 1
+            if self._inside == 0:
+                cv2.utils.logging.setLogLevel(self._before)
+
+
+_QUIET = _Quiet()
+
+
 def decode(path: str | Path) -> Image:
     """Decode a photo as it is stored: no turning by its Exif orientation, alpha left away.
 
@@ -70,7 +101,8 @@ def decode_photo(path: str | Path) -> Photo:
     if problem is not None:
         raise FlightError(f"{path}: expected a whole image, got a {problem}")
     try:
-        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        with _QUIET:
+            pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
         raise FlightError(f"{path}: expected an image, OpenCV says: {error.err}") from None
     if pixels is None:

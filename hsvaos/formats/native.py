@@ -10,7 +10,13 @@ import numpy as np
 
 from hsvaos.camera import Camera
 from hsvaos.flight import Flight, FlightError, Origin
-from hsvaos.formats.options import NO_INTRINSICS, Options, camera_from_table, number_in
+from hsvaos.formats.options import (
+    CAMERA_KEYS,
+    NO_INTRINSICS,
+    Options,
+    camera_from_table,
+    number_in,
+)
 from hsvaos.formats.poses import PosedName, read_poses, rotation_from_quaternion
 from hsvaos.formats.select import PhotoFinder, images_in, select_frames
 from hsvaos.formats.text import read_csv, read_toml
@@ -20,7 +26,21 @@ LOGS = ("imu", "gnss", "baro", "triggers")
 MOUNTING = {"body_from_camera_q": 4, "camera_lever_arm_m": 3, "antenna_lever_arm_m": 3}
 """How the camera and the antenna sit in the vehicle, by key in [nav], and how many numbers."""
 
-_TABLES = ("flight", "camera", "frames", "world", "nav")
+_TABLES: dict[str, tuple[str, ...]] = {
+    "flight": ("name",),
+    "camera": CAMERA_KEYS,
+    "frames": ("folder", "poses", "mask", "masks"),
+    "world": (
+        "frame",
+        "origin_lat_deg",
+        "origin_lon_deg",
+        "origin_height_m",
+        "ground_down_m",
+        "terrain",
+    ),
+    "nav": (*LOGS, *MOUNTING),
+}
+"""The tables of flight.toml and their keys."""
 
 
 def find_description(path: Path) -> Path | None:
@@ -92,8 +112,31 @@ def read(path: Path, options: Options) -> Flight:
         sensors=sensors,
         source=path,
         format="native",
-        notes=(*notes, *pose_note),
+        notes=(*_unknown_notes(content, described), *notes, *pose_note),
     )
+
+
+def _unknown_notes(content: dict[str, Any], described: Path) -> list[str]:
+    """Return notes on what is not understood: misspelt, or of a newer version."""
+    notes = []
+    unknown = [name for name in content if name not in _TABLES]
+    if unknown:
+        notes.append(
+            f"{described}: passed over {_listed(unknown)} at the top level; known are the tables "
+            f"{', '.join(f'[{name}]' for name in _TABLES)}"
+        )
+    for table, known in _TABLES.items():
+        unknown = [key for key in content.get(table, {}) if key not in known]
+        if unknown:
+            notes.append(
+                f"{described}: passed over {_listed(unknown)} in [{table}]; known are "
+                f"{', '.join(known)}"
+            )
+    return notes
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(repr(name) for name in names[:5]) + (", ..." if len(names) > 5 else "")
 
 
 def _camera(options: Options, table: dict[str, Any], where: str, size: tuple[int, int]) -> Camera:

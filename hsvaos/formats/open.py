@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from hsvaos.camera import Camera
+from hsvaos.camera import Camera, checked_fov, finite_number
 from hsvaos.flight import Flight, FlightError
 from hsvaos.formats import dji, jku, native, photos
 from hsvaos.formats.options import Options
@@ -60,8 +60,17 @@ def open_flight(
     Raises:
         FlightError: If there is no flight, its format is not known, or it cannot be used. What
             could be left out instead is counted in `Flight.notes`.
+        TypeError: If camera is no `Camera`, or fov_deg or ground_down_m no number.
     """
     path = Path(path)
+    if camera is not None and not isinstance(camera, Camera):
+        raise TypeError(f"camera must be a Camera, got {camera!r}")
+    try:
+        fov_deg = None if fov_deg is None else checked_fov(fov_deg)
+        if ground_down_m is not None:
+            ground_down_m = finite_number(ground_down_m, "ground_down_m")
+    except ValueError as error:
+        raise FlightError(str(error)) from None
     if camera is not None and fov_deg is not None:
         raise FlightError("expected camera or fov_deg, got both")
     options = Options(

@@ -11,6 +11,8 @@ from hsvaos.camera import Camera
 from hsvaos.flight import FlightError
 
 NO_INTRINSICS = "give --fov DEG or [camera] in flight.toml"
+CAMERA_KEYS = ("model", "width", "height", "fx", "fy", "cx", "cy", "distortion", "fov_deg")
+"""The keys of [camera]."""
 MASK_NOTE = "mask.png found beside the photos: used as user mask (0 = ignore)"
 
 

@@ -128,7 +128,7 @@ def read_poses_csv(path: Path) -> list[PosedName]:
         FlightError: If the file is malformed; a pose that cannot be used is marked instead.
     """
     poses = []
-    for row in read_csv(path, POSE_COLUMNS):
+    for row in read_csv(path, POSE_COLUMNS, _hint):
         name, t_s = row.text("file"), row.number_or_nan("t_s")
         numbers = [row.number(column) for column in POSE_COLUMNS[2:]]
         try:
@@ -139,6 +139,15 @@ def read_poses_csv(path: Path) -> list[PosedName]:
         except ValueError as error:
             poses.append(PosedName(name, None, t_s, f"{path}: line {row.line}: {name}: {error}"))
     return poses
+
+
+def _hint(header: Sequence[str]) -> str:
+    if "file" not in header and {"t_s", "north_m", "qw"} <= set(header):
+        return (
+            "; this looks like a trajectory, which has a row per time: "
+            "hsvaos nav FLIGHT --poses FILE writes the poses of photos"
+        )
+    return ""
 
 
 def is_jku(content: Any) -> bool:

@@ -7,7 +7,7 @@ import io
 import json
 import math
 import tomllib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -103,7 +103,9 @@ class CsvRow:
         return self.number(column) if self.values.get(column) else math.nan
 
 
-def read_csv(path: Path, columns: Sequence[str]) -> list[CsvRow]:
+def read_csv(
+    path: Path, columns: Sequence[str], hint: Callable[[Sequence[str]], str] | None = None
+) -> list[CsvRow]:
     """Return the rows of a CSV file that has at least the given columns.
 
     Lines that are empty or start with "#" are passed over.
@@ -111,6 +113,8 @@ def read_csv(path: Path, columns: Sequence[str]) -> list[CsvRow]:
     Args:
         path: File with one line of column names.
         columns: Names that must be among them.
+        hint: Gives what to add to the message where some are missing, from the names that are
+            there.
 
     Raises:
         FlightError: If the file cannot be read, a column is missing, or a row has another number
@@ -128,7 +132,7 @@ def read_csv(path: Path, columns: Sequence[str]) -> list[CsvRow]:
                 continue
             if header is None:
                 header = fields
-                _check_header(path, header, columns)
+                _check_header(path, header, columns, hint)
                 continue
             if len(fields) != len(header):
                 raise FlightError(
@@ -143,12 +147,17 @@ def read_csv(path: Path, columns: Sequence[str]) -> list[CsvRow]:
     return rows
 
 
-def _check_header(path: Path, header: list[str], columns: Sequence[str]) -> None:
+def _check_header(
+    path: Path,
+    header: list[str],
+    columns: Sequence[str],
+    hint: Callable[[Sequence[str]], str] | None,
+) -> None:
     missing = [name for name in columns if name not in header]
     if missing:
         raise FlightError(
             f"{path}: expected the columns {', '.join(columns)}; missing {', '.join(missing)}, "
-            f"got {', '.join(header)[:200]}"
+            f"got {', '.join(header)[:200]}{hint(header) if hint else ''}"
         )
     twice = sorted({name for name in header if header.count(name) > 1})
     if twice:

@@ -230,3 +230,24 @@ def test_masks_of_flight_frame_and_photo_are_all_applied(tmp_path):
     first, second = photos_ahead(flight)
     ignored = [np.flatnonzero((photo.alpha == 0).all(axis=1)).tolist() for photo in (first, second)]
     assert ignored == [[0, 1, 2], [1]]
+
+
+def tiff_with_tag(pixels, tag):
+    """A TIFF with one more tag of text, which OpenCV warns of where it does not know it."""
+    data = encoded(".tiff", pixels)
+    at = struct.unpack_from("<I", data, 4)[0]
+    count = struct.unpack_from("<H", data, at)[0]
+    entries = data[at + 2 : at + 2 + 12 * count] + struct.pack("<HHI4s", tag, 2, 4, b"abc")
+    directory = struct.pack("<H", count + 1) + entries + struct.pack("<I", 0)
+    return data[:4] + struct.pack("<I", len(data)) + data[8:] + directory
+
+
+def test_unknown_tags_are_passed_over_quietly(tmp_path, capfd):
+    flight = folder_of(tmp_path, [tiff_with_tag(NOISE, 42112)] * 20)
+    before = cv2.utils.logging.getLogLevel()
+    for image in decode_ahead(flight, workers=4):
+        np.testing.assert_array_equal(image, NOISE[..., ::-1])
+    assert capfd.readouterr() == ("", "")
+    assert cv2.utils.logging.getLogLevel() == before
+    cv2.imdecode(np.frombuffer(tiff_with_tag(NOISE, 42112), np.uint8), cv2.IMREAD_UNCHANGED)
+    assert "42112" in capfd.readouterr().err

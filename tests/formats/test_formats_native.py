@@ -14,6 +14,7 @@ from hsvaos.camera import Camera
 from hsvaos.flight import Flight, FlightError, Frame, Origin
 from hsvaos.formats.native_write import write_native
 from hsvaos.formats.poses import quaternion_from_rotation, rotation_from_quaternion
+from hsvaos.formats.trajectory_csv import TRAJECTORY_COLUMNS
 
 NOISE = np.random.default_rng(2).integers(0, 256, (6, 8, 3), dtype=np.uint8)
 CAMERA = Camera(8, 6, 7.25, 7.5, 3.4, 2.6, (-0.1, 0.02, 1e-3, -2e-3, 0.5))
@@ -257,6 +258,37 @@ def test_what_is_bad_is_left_out_where_the_rest_can_be_used(folder):
     ):
         assert any(what in note and note.startswith("1 photo") for note in flight.notes), what
     np.testing.assert_allclose(flight.poses[3, :3, :3], np.eye(3), atol=1e-12)
+
+
+@pytest.mark.parametrize("north", ["1e12", "-1e30"])
+def test_poses_beyond_the_earth_are_left_out(folder, north):
+    edit(folder, "poses.csv", "001.png,1.0,1.0,", f"001.png,1.0,{north},")
+    flight = hsvaos.open_flight(folder)
+    assert [f.name for f in flight.frames] == ["000.png", "002.png"]
+    assert any("pose must lie within 10000 km of the origin" in note for note in flight.notes)
+
+
+def test_a_trajectory_in_place_of_poses_gets_a_hint(folder, tmp_path):
+    path = tmp_path / "trajectory.csv"
+    path.write_text(f"{TRAJECTORY_COLUMNS}\n")
+    with pytest.raises(FlightError, match=r"missing file, .*hsvaos nav FLIGHT --poses FILE writes"):
+        hsvaos.open_flight(folder, poses=path)
+
+
+def test_unknown_keys_and_tables_are_noted(folder):
+    edit(folder, "flight.toml", "[world]", '[foo]\nbar = 1\n\n[world]\nterrian = "dem.tif"')
+    edit(folder, "flight.toml", "[flight]", 'poses = "x.csv"\n[flight]')
+    edit(folder, "flight.toml", "[camera]", "[camera]\nfocal_mm = 8")
+    flight = hsvaos.open_flight(folder)
+    path = folder / "flight.toml"
+    assert flight.notes == (
+        f"{path}: passed over 'poses', 'foo' at the top level; known are the tables [flight], "
+        "[camera], [frames], [world], [nav]",
+        f"{path}: passed over 'focal_mm' in [camera]; known are model, width, height, fx, fy, cx, "
+        "cy, distortion, fov_deg",
+        f"{path}: passed over 'terrian' in [world]; known are frame, origin_lat_deg, "
+        "origin_lon_deg, origin_height_m, ground_down_m, terrain",
+    )
 
 
 def test_unknown_flights(tmp_path, folder):
