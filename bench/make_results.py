@@ -19,6 +19,9 @@ from hsvaos.kernels.device import threads
 
 RESULTS = Path(__file__).with_name("RESULTS.md")
 
+KEPT = "<!-- What follows comes from the commands that it names. -->"
+"""What stands below this line in the results is left as it is."""
+
 
 def processor() -> str:
     """Name of the processor."""
@@ -59,7 +62,9 @@ def main() -> None:
                 f"| {name} | {contender} | {1e3 * seconds:.1f} | {seconds / ours:.2f} |"
                 for contender, seconds in medians.items()
             ]
-    RESULTS.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    old = RESULTS.read_text(encoding="utf-8") if RESULTS.exists() else ""
+    _, marker, rest = old.partition(KEPT)
+    RESULTS.write_text("\n".join(lines) + "\n" + (f"\n{marker}{rest}" if marker else ""), "utf-8")
 
 
 if __name__ == "__main__":
