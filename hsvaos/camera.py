@@ -233,6 +233,8 @@ class Camera:
             for _ in range(_UNDISTORT_STEPS):
                 xy = xy - self._newton_step(xy, target)
             wrong = ~(np.abs(self.distort(xy) - target).max(axis=-1) < 1e-6)
+            # beyond the turning point another, farther direction maps to the pixel: not the lens's
+            wrong |= ~(np.hypot(xy[..., 0], xy[..., 1]) <= self.max_radius)
             xy[wrong] = np.nan
         return np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1)
 
