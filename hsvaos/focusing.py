@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -54,21 +55,43 @@ def choose_surface(
     if settings.autofocus:
         terrain = None
     if settings.down_m is not None:
-        surface = FocalPlane(settings.down_m)
+        surface = tilted_plane(flight, settings.down_m, settings)
     elif terrain is not None:
         origin = flight.origin
         place = (origin.lat_deg, origin.lon_deg, origin.height_m) if origin else None
-        surface = FocalTerrain.from_file(Path(terrain), place)
+        surface = shifted(FocalTerrain.from_file(Path(terrain), place), settings.offset_m)
     elif flight.ground_down_m is not None and not settings.autofocus:
-        surface = FocalPlane(flight.ground_down_m)
+        surface = tilted_plane(flight, flight.ground_down_m, settings)
     else:
         down, note = autofocus(flight, settings, integrators, progress)
         if not settings.autofocus:
             note += "; the flight does not say where its ground is: give --focus-down or --terrain"
-        surface = FocalPlane(down)
+        surface = tilted_plane(flight, down, settings)
         notes.append(note)
     notes += check_above(flight, surface)
     return surface, tuple(notes)
+
+
+def tilted_plane(flight: Flight, down_m: float, settings: FocusSettings) -> FocalPlane:
+    """Return the focal plane at a depth, tilted as the settings say.
+
+    Args:
+        flight: The flight, with poses; the plane turns about the point below their middle.
+        down_m: Down of that point [m].
+        settings: Pitch and roll.
+    """
+    if settings.pitch_deg == 0.0 and settings.roll_deg == 0.0:
+        return FocalPlane(down_m)
+    north, east = flight.poses[:, :2, 3].mean(axis=0)
+    slopes = np.tan(np.radians([settings.pitch_deg, -settings.roll_deg]))
+    return FocalPlane(point=(north, east, down_m), normal=(*slopes, 1.0))
+
+
+def shifted(terrain: FocalTerrain, offset_m: float) -> FocalTerrain:
+    """Return a terrain moved downwards [m]."""
+    if offset_m == 0.0:
+        return terrain
+    return replace(terrain, down_m=terrain.down_m + np.float32(offset_m))
 
 
 def autofocus(

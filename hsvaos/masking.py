@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from hsvaos.hue_statistics import HueStatistics
 from hsvaos.kernels.anomaly import rx_masks
 from hsvaos.kernels.color import brighten
 from hsvaos.kernels.hue_mask import apply_hue_cut, measure_hue
+from hsvaos.kernels.keep import keep_colours
 from hsvaos.kernels.levels import channel_quantiles, level_gains
 from hsvaos.kernels.rarity import rarity_weights
 from hsvaos.photos import Photos, Progress
@@ -60,40 +61,120 @@ def make_masks(photos: Photos, settings: Settings, progress: Progress | None = N
         progress: Told of every step.
     """
     step = _Steps(progress)
-    mask, images, valid = settings.mask, photos.images, photos.valid
-    gains = None
-    if settings.photos.level and photos.is_colour:
-        gains = level_gains(channel_quantiles(images, valid=valid))
+    mask, valid = settings.mask, photos.valid
+    gains = levelled(photos, settings)
     step("levelling exposure")
     hue, histogram = None, None
     stats: list[HueStatistics] = []
     if photos.is_colour:
         cut = (mask.sigmas, mask.statistics, mask.scope)
-        stats, histogram = measure_hue(images, *cut, valid=valid, gains=gains)
-        hue = apply_hue_cut(images, stats, valid=valid, gains=gains)
+        stats, histogram = measure_hue(photos.images, *cut, valid=valid, gains=gains)
+        stats = by_hand(mask, stats)
+        hue = cut_hues(photos, mask, stats, gains)
     step("cutting hues")
+    rarity = weigh_rarity(photos, mask, gains)
+    step("weighing rarity")
+    anomaly = find_anomalies(photos, mask, gains) if mask.method == "anomaly" else None
+    step("finding anomalies")
+    brightened = None
+    if mask.brighten and hue is not None:
+        brightened = brighten_kept(photos, mask, hue, gains)
+    step("brightening")
+    summary, notes = _summary(photos, mask, hue, stats, anomaly)
+    return Masks(gains, hue, rarity, anomaly, brightened, stats, histogram, summary, notes)
+
+
+def levelled(photos: Photos, settings: Settings) -> NDArray[np.float64] | None:
+    """Return factors that level the photos, shape (N, 3); None where they stay as they are."""
+    if not (settings.photos.level and photos.is_colour):
+        return None
+    return level_gains(channel_quantiles(photos.images, valid=photos.valid))
+
+
+def by_hand(mask: MaskSettings, stats: list[HueStatistics]) -> list[HueStatistics]:
+    """Return the statistics that cut the hues set by hand, or the measured ones if none are."""
+    if mask.hue_from_deg is None or mask.hue_to_deg is None:
+        return stats
+    width = (mask.hue_to_deg - mask.hue_from_deg) % 360.0
+    if width == 0.0 and mask.hue_to_deg != mask.hue_from_deg:
+        width = 360.0
+    return [
+        replace(
+            one,
+            mean_deg=(mask.hue_from_deg + 0.5 * width) % 360.0,
+            sigma_deg=0.5 * width / mask.sigmas,
+            statistics="circular",
+            sigmas=mask.sigmas,
+            informative=True,
+            reason="",
+        )
+        for one in stats
+    ]
+
+
+def cut_hues(
+    photos: Photos,
+    mask: MaskSettings,
+    stats: list[HueStatistics],
+    gains: NDArray[np.float64] | None,
+) -> Any:
+    """Return the masks of the hue cut; see `Masks.hue`.
+
+    Args:
+        photos: Colour photos.
+        mask: The settings.
+        stats: Statistics of each photo.
+        gains: See `levelled`.
+    """
+    masks = apply_hue_cut(photos.images, stats, valid=photos.valid, gains=gains)
+    return _with_kept_colours(photos, mask, masks, gains)
+
+
+def weigh_rarity(
+    photos: Photos, mask: MaskSettings, gains: NDArray[np.float64] | None = None
+) -> Any:
+    """Return rarity weights; see `Masks.rarity`."""
     threshold = mask.rarity_threshold if photos.is_colour else mask.grey_rarity_threshold
-    rarity, _ = rarity_weights(
-        images,
+    weights, _ = rarity_weights(
+        photos.images,
         threshold=threshold,
         exponent=mask.rarity_exponent,
         smoothing_bins=mask.rarity_smoothing_bins,
         dtype="float32",
-        valid=valid,
+        valid=photos.valid,
         gains=gains,
     )
-    step("weighing rarity")
-    anomaly = None
-    if mask.method == "anomaly":
-        anomaly, _ = rx_masks(images, mask.anomaly_quantile, valid=valid)
-    step("finding anomalies")
-    brightened = None
-    if mask.brighten and hue is not None:
-        amount = {"target_value": mask.target_value, "gamma": mask.gamma, "max_gain": mask.max_gain}
-        brightened = brighten(images, hue, gains=gains, **amount)
-    step("brightening")
-    summary, notes = _summary(photos, mask, hue, stats, anomaly)
-    return Masks(gains, hue, rarity, anomaly, brightened, stats, histogram, summary, notes)
+    return _with_kept_colours(photos, mask, weights, gains)
+
+
+def find_anomalies(
+    photos: Photos, mask: MaskSettings, gains: NDArray[np.float64] | None = None
+) -> Any:
+    """Return RX masks; see `Masks.anomaly`."""
+    masks, _ = rx_masks(photos.images, mask.anomaly_quantile, valid=photos.valid)
+    return _with_kept_colours(photos, mask, masks, gains)
+
+
+def brighten_kept(
+    photos: Photos, mask: MaskSettings, hue: Any, gains: NDArray[np.float64] | None
+) -> Any:
+    """Return the photos levelled, and what the hue cut keeps of them brightened."""
+    amount = {"target_value": mask.target_value, "gamma": mask.gamma, "max_gain": mask.max_gain}
+    return brighten(photos.images, hue, gains=gains, **amount)
+
+
+def _with_kept_colours(
+    photos: Photos, mask: MaskSettings, weights: Any, gains: NDArray[np.float64] | None
+) -> Any:
+    """Give the colours to keep their full weight; grey photos have none."""
+    if not mask.keep_colours or not photos.is_colour:
+        return weights
+    colours = [
+        [int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5)] for colour in mask.keep_colours
+    ]
+    return keep_colours(
+        photos.images, weights, colours, mask.keep_distance, valid=photos.valid, gains=gains
+    )
 
 
 class _Steps:
@@ -133,6 +214,9 @@ def _summary(
                 f"hue says nothing in {len(silent)} of {len(stats)} photos, where the mask keeps "
                 f"everything: {silent[0].reason}"
             )
+    if stats and mask.hue_from_deg is not None and mask.hue_to_deg is not None:
+        del summary["within"]  # of another cut
+        notes.append(f"hues from {mask.hue_from_deg:.0f} to {mask.hue_to_deg:.0f} deg cut by hand")
     chosen = anomaly if mask.method == "anomaly" else hue if mask.method == "hue" else None
     if chosen is not None:
         summary["kept_share"] = kept_share(chosen)

@@ -185,6 +185,23 @@ def rarity_coordinates(images: ArrayLike) -> Array:
     return np.stack([lab[..., 0] / 10.0, a, b], axis=-1)
 
 
+def colour_distance(images: ArrayLike, colour: ArrayLike) -> Array:
+    """Twin of the distance in `kernels.keep`: how unlike a colour every pixel is.
+
+    Args:
+        images: Shape (..., 3), RGB; uint8, uint16 or float 0..1.
+        colour: Shape (3,), sRGB 0..1.
+    """
+
+    def place(rgb: ArrayLike) -> Array:
+        lab = rgb_to_lab(rgb)
+        scale = 40.0 / np.maximum(lab[..., 0], 8.0)
+        return np.stack([lab[..., 1] * scale, lab[..., 2] * scale, lab[..., 0] / 8.0], axis=-1)
+
+    kept = place(np.asarray(colour, np.float64))
+    return np.asarray(np.linalg.norm(place(images) - kept, axis=-1))
+
+
 def rarity_bins(images: ArrayLike) -> NDArray[np.int64]:
     """Return the colour bin of each pixel, shape (...), twin of `kernels.rarity.colour_bin`."""
     level, a, b = np.moveaxis(np.floor(rarity_coordinates(images)).astype(np.int64), -1, 0)

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 import tomllib
 from dataclasses import dataclass, field, fields
 from numbers import Integral, Real
 from pathlib import Path
 from types import UnionType
-from typing import Any, get_args, get_type_hints
+from typing import Any, get_args, get_origin, get_type_hints
 
 MASKS = ("hue", "rarity", "anomaly", "none")
+
+MOST_TILT_DEG = 60.0
+"""Tilt of a focal plane beyond which cameras would look along it."""
 
 _MOST_STEPS = 10_000
 _MOST_SMOOTHING_BINS = 40.0
@@ -54,6 +58,13 @@ class MaskSettings:
         rarity_exponent: Exponent of the rarity weight.
         rarity_smoothing_bins: Sigma of the smoothing of the colour histogram [bins].
         anomaly_quantile: Share of the pixels that the RX mask cuts.
+        hue_from_deg: First hue of a cut set by hand [deg], which replaces mean and sigmas; with
+            hue_to_deg only.
+        hue_to_deg: Last hue of that cut [deg]; hues run upwards from the first one, over 360 where
+            it is the greater one.
+        keep_colours: Colours "#rrggbb" that no mask takes away.
+        keep_distance: How unlike a colour to keep may be: chroma relative to lightness, as in the
+            rarity histogram, and an eighth of the difference in lightness.
     """
 
     method: str = "hue"
@@ -69,6 +80,10 @@ class MaskSettings:
     rarity_exponent: float = 1.5
     rarity_smoothing_bins: float = 1.0
     anomaly_quantile: float = 0.99
+    hue_from_deg: float | None = None
+    hue_to_deg: float | None = None
+    keep_colours: tuple[str, ...] = ()
+    keep_distance: float = 6.0
 
     def __post_init__(self) -> None:
         _check_types(self, "mask")
@@ -88,6 +103,15 @@ class MaskSettings:
         _require(usable, "mask.rarity_smoothing_bins", expected, smoothing)
         quantile = self.anomaly_quantile
         _require(0.0 < quantile < 1.0, "mask.anomaly_quantile", "between 0 and 1", quantile)
+        cut = (self.hue_from_deg, self.hue_to_deg)
+        _require((cut[0] is None) == (cut[1] is None), "mask", "hue_from_deg and hue_to_deg", cut)
+        for hue in cut:
+            usable = hue is None or 0.0 <= hue <= 360.0
+            _require(usable, "mask.hue_from_deg and hue_to_deg", "hues of 0 to 360 degrees", hue)
+        for colour in self.keep_colours:
+            usable = re.fullmatch(r"#[0-9a-fA-F]{6}", colour) is not None
+            _require(usable, "mask.keep_colours", 'colours like "#c81e1e"', colour)
+        _require(self.keep_distance > 0.0, "mask.keep_distance", "positive", self.keep_distance)
 
 
 @dataclass(frozen=True)
@@ -101,6 +125,10 @@ class FocusSettings:
         from_m: Upper end of that search [m]; by default from the flight's geometry.
         to_m: Lower end of that search [m].
         steps: Planes of that search.
+        pitch_deg: Tilt of a focal plane, rising towards the north [deg]; the plane turns about the
+            point below the middle of the cameras.
+        roll_deg: Tilt of a focal plane, falling towards the east [deg].
+        offset_m: Shift of a terrain downwards [m].
     """
 
     down_m: float | None = None
@@ -109,6 +137,9 @@ class FocusSettings:
     from_m: float | None = None
     to_m: float | None = None
     steps: int = 48
+    pitch_deg: float = 0.0
+    roll_deg: float = 0.0
+    offset_m: float = 0.0
 
     def __post_init__(self) -> None:
         _check_types(self, "focus")
@@ -116,6 +147,10 @@ class FocusSettings:
         _require(sum(asked) <= 1, "focus", "only one of down_m, terrain and autofocus", "several")
         expected = f"between 3 and {_MOST_STEPS} planes"
         _require(3 <= self.steps <= _MOST_STEPS, "focus.steps", expected, self.steps)
+        for name in ("pitch_deg", "roll_deg"):
+            tilt = getattr(self, name)
+            expected = f"a tilt of at most {MOST_TILT_DEG:g} degrees"
+            _require(abs(tilt) <= MOST_TILT_DEG, f"focus.{name}", expected, tilt)
 
 
 @dataclass(frozen=True)
@@ -300,6 +335,10 @@ def _check_types(settings: object, table: str = "") -> None:
 
 
 def _checked(value: Any, hint: Any, name: str) -> Any:
+    if get_origin(hint) is tuple:  # a list in TOML
+        if isinstance(value, (list, tuple)):
+            return tuple(_checked(entry, get_args(hint)[0], name) for entry in value)
+        raise TypeError(f"{name} must be a list, got {value!r}")
     kinds = get_args(hint) if isinstance(hint, UnionType) else (hint,)
     if float in kinds and isinstance(value, Real) and not isinstance(value, bool):
         try:
@@ -322,4 +361,6 @@ def _toml_value(value: Any) -> str:
     if isinstance(value, str):
         escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
         return f'"{escaped}"'
+    if isinstance(value, tuple):
+        return "[" + ", ".join(_toml_value(entry) for entry in value) + "]"
     return repr(value)

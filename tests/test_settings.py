@@ -27,13 +27,28 @@ positive = st.floats(1e-6, 1e6)
     down=st.none() | st.floats(-1e4, 1e4),
     frame=st.text(st.characters(exclude_categories=["Cs", "Cc"])),
     finds=st.integers(1, 1000),
+    colours=st.lists(st.from_regex(r"#[0-9a-f]{6}", fullmatch=True), max_size=3),
+    cut=st.none() | st.tuples(st.floats(0, 360), st.floats(0, 360)),
 )
 def test_toml_round_trip(
-    sigmas: float, method: str, down: float | None, frame: str, finds: int
+    sigmas: float,
+    method: str,
+    down: float | None,
+    frame: str,
+    finds: int,
+    colours: list[str],
+    cut: tuple[float, float] | None,
 ) -> None:
+    first, last = cut or (None, None)
     settings = Settings(
-        mask=MaskSettings(method=method, sigmas=sigmas),
-        focus=FocusSettings(down_m=down),
+        mask=MaskSettings(
+            method=method,
+            sigmas=sigmas,
+            keep_colours=tuple(colours),
+            hue_from_deg=first,
+            hue_to_deg=last,
+        ),
+        focus=FocusSettings(down_m=down, pitch_deg=3, offset_m=-1),
         view=ViewSettings(frame=frame),
         detect=DetectSettings(max_finds=finds),
     )
@@ -58,6 +73,12 @@ def test_whole_numbers_are_taken_for_lengths() -> None:
         ('[mask]\nmethod = "magic"\n', "one of hue, rarity, anomaly, none"),
         ("[focus]\ndown_m = 1\nautofocus = true\n", "only one of"),
         ("mask = 3\n", "must be a table"),
+        ('[mask]\nkeep_colours = ["red"]\n', "must be colours like \"#c81e1e\", got 'red'"),
+        ('[mask]\nkeep_colours = "#ff0000"\n', "mask.keep_colours must be a list"),
+        ("[mask]\nkeep_colours = [3]\n", "mask.keep_colours must be str, got 3"),
+        ("[mask]\nhue_from_deg = 30\n", "mask must be hue_from_deg and hue_to_deg"),
+        ("[mask]\nhue_from_deg = 30\nhue_to_deg = 400\n", "hues of 0 to 360 degrees"),
+        ("[focus]\npitch_deg = 80\n", "focus.pitch_deg must be a tilt of at most 60 degrees"),
         ("[photos]\nscale = 2.0\n", "photos.scale"),
         ("[detect]\nmax_finds = 0\n", "detect.max_finds"),
     ],

@@ -14,6 +14,7 @@ from hsvaos.demo import FOLDER, demo_flight
 from hsvaos.focusing import check_above, choose_surface, search_planes
 from hsvaos.formats.native_write import write_native
 from hsvaos.kernels.integrate import Integrator
+from hsvaos.masking import make_masks
 from hsvaos.photos import load_photos
 from hsvaos.settings import FocusSettings, MaskSettings, PhotoSettings, Settings, ViewSettings
 from hsvaos.viewing import choose_views, ground_grid
@@ -176,3 +177,43 @@ def test_what_is_no_flight_and_no_settings_is_refused(flight: hsvaos.Flight) -> 
         hsvaos.run("folder")  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="settings must be Settings"):
         hsvaos.run(flight, {})  # type: ignore[arg-type]
+
+
+def test_hues_cut_by_hand_and_colours_kept(flight: hsvaos.Flight) -> None:
+    photos = load_photos(flight)
+
+    def hue_mask(**mask: object) -> np.ndarray:
+        settings = Settings(mask=MaskSettings(**mask), photos=PhotoSettings(level=False))
+        return make_masks(photos, settings).hue.numpy() > 0
+
+    hue = hsvaos.rgb_to_hsv(photos.images.numpy())[..., 0]
+    cut = hue_mask(hue_from_deg=350.0, hue_to_deg=20.0)
+    inside = (hue + 10.0) % 360.0
+    clear = (np.abs(inside - 0.0) > 0.5) & (np.abs(inside - 30.0) > 0.5) & (hue > 0.0)
+    np.testing.assert_array_equal(cut[clear], (inside > 30.0)[clear])
+    assert not hue_mask(hue_from_deg=0.0, hue_to_deg=360.0)[hue > 0.0].any()
+
+    leaf = photos.images.numpy()[0, 0, 0]
+    kept = hue_mask(keep_colours=("#" + bytes(leaf).hex(),), keep_distance=3.0)
+    plain = hue_mask()
+    assert (kept >= plain).all()
+    assert (kept & ~plain).any()
+
+
+def test_surfaces_tilt_and_shift_as_settings_say(flight: hsvaos.Flight, tmp_path: Path) -> None:
+    north, east = flight.poses[:, :2, 3].mean(axis=0)
+    tilt = FocusSettings(down_m=2.0, pitch_deg=45.0, roll_deg=0.0)
+    surface, _ = choose_surface(flight, tilt, ())
+    assert isinstance(surface, hsvaos.FocalPlane)
+    # one metre to the north the plane is one metre higher
+    off = np.array([north + 1.0, east, 1.0]) - surface.point
+    assert off @ surface.normal == pytest.approx(0.0, abs=1e-9)
+    surface, _ = choose_surface(flight, FocusSettings(down_m=2.0, roll_deg=45.0), ())
+    off = np.array([north, east + 1.0, 3.0]) - surface.point
+    assert off @ surface.normal == pytest.approx(0.0, abs=1e-9)
+    axis = np.linspace(-30, 30, 5)
+    np.savez(tmp_path / "t.npz", north_m=axis, east_m=axis, down_m=np.zeros((5, 5)))
+    moved = FocusSettings(terrain=str(tmp_path / "t.npz"), offset_m=1.5)
+    surface, _ = choose_surface(flight, moved, ())
+    assert isinstance(surface, hsvaos.FocalTerrain)
+    np.testing.assert_allclose(surface.down_m, 1.5)
