@@ -11,6 +11,7 @@ import typer
 
 from hsvaos.nav.command import nav
 from hsvaos.simulate.command import simulate
+from hsvaos.viewer.command import view as view_command
 
 if TYPE_CHECKING:
     from hsvaos.flight import Flight
@@ -28,6 +29,7 @@ app = typer.Typer(
 
 app.command()(nav)
 app.command()(simulate)
+app.command("view")(view_command)
 
 
 class Mask(StrEnum):

@@ -34,6 +34,9 @@ ALLOWED = {
     "sweeping": BASE | {"photos", "masking", "kernels", "rendering", "viewing", "focusing"},
     "demo": BASE | {"formats"},
     "report": BASE | {"detect", "result", "sweeping"},
+    "viewer": BASE
+    | {"photos", "masking", "kernels", "result", "rendering", "focusing", "viewing", "report"}
+    | {"nav"},
 }
 """What each part may import when it is loaded; parts not named here may import anything."""
 

@@ -1,0 +1,242 @@
+"""A flight held ready to be looked at: pictures, depths and finds, without any user interface."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hsvaos.camera import VirtualCamera
+from hsvaos.flight import Flight, FlightError
+from hsvaos.focusing import choose_surface, shifted, tilted_plane, without_parallax
+from hsvaos.kernels.arrays import SCALE
+from hsvaos.kernels.device import resolve_device
+from hsvaos.kernels.integrate import Integrator
+from hsvaos.kernels.rays import focal_points
+from hsvaos.photos import Photos, Progress, load_photos, with_poses
+from hsvaos.rendering import Renderer
+from hsvaos.result import ViewResult
+from hsvaos.settings import FocusSettings, Settings
+from hsvaos.surface import FocalSurface, FocalTerrain
+from hsvaos.viewer.pace import Quality
+from hsvaos.viewer.render import Picture, integral, render
+from hsvaos.viewer.request import Focus, Request, window
+from hsvaos.viewer.weights import Abandoned, Wanted, WeightCache
+
+
+@dataclass(frozen=True, eq=False)
+class Find:
+    """A find on the focal surface.
+
+    Args:
+        place: Shape (3,), world NED [m].
+        corners: Shape (4, 3), the corners of its box on the focal surface, world NED [m].
+        score: As the detector gives it.
+    """
+
+    place: NDArray[np.float64]
+    corners: NDArray[np.float64]
+    score: float
+
+
+class Session:
+    """Photos and masks of one flight on a device. Its methods may be called from any thread.
+
+    The photos are decoded once, here: a flight that vanishes from the disk later can still be
+    looked at.
+
+    Args:
+        flight: Photos with poses, or with a sensor log.
+        settings: Where to start from; scale and levelling of the photos stay as they are here.
+        device: "cpu", "cuda:0", ...
+        progress: Told of decoding, of poses and of a search for focus.
+
+    Raises:
+        FlightError: If the flight cannot be used.
+        ValueError: If a setting or the device makes no sense.
+    """
+
+    def __init__(
+        self,
+        flight: Flight,
+        settings: Settings | None = None,
+        device: Any = "cpu",
+        progress: Progress | None = None,
+    ) -> None:
+        self.settings = Settings() if settings is None else settings
+        self.device = resolve_device(device)
+        found = with_poses(flight, progress)
+        self.photos: Photos = load_photos(found, self.settings.photos.scale, self.device, progress)
+        self.flight = self.photos.flight
+        self.weights = WeightCache(self.photos, self.settings)
+        sharp: list[Integrator] = []
+        if _searches(self.flight, self.settings.focus):
+            mask = self.settings.mask
+            sharp = [self.weights.integrator(kind, mask) for kind in ("plain", "rarity_map")]
+        surface, notes = choose_surface(self.flight, self.settings.focus, sharp, progress)
+        self.terrain: FocalTerrain | None = None
+        if isinstance(surface, FocalTerrain):
+            offset = self.settings.focus.offset_m
+            self.terrain = shifted(surface, -offset)
+            self.start = Focus(offset, terrain=True)
+        else:
+            tilt = self.settings.focus
+            self.start = Focus(float(surface.point[2]), tilt.pitch_deg, tilt.roll_deg)
+        self.no_parallax = without_parallax(self.flight, surface)
+        still = () if self.no_parallax is None else (self.no_parallax,)
+        self.notes = (*found.notes, *self.photos.notes, *notes, *still)
+        self._finds: tuple[Any, tuple[Find, ...]] | None = None
+        self._finding = threading.Lock()
+
+    @property
+    def places(self) -> NDArray[np.float64]:
+        """Shape (N, 3), where the photos were taken, world NED [m]."""
+        return self.flight.poses[:, :3, 3]
+
+    @property
+    def ground_m(self) -> float:
+        """Down of the middle of the surface that the session starts with [m]."""
+        if self.terrain is not None:
+            return float(np.nanmedian(self.terrain.down_m))
+        return self.start.down_m
+
+    @property
+    def depths(self) -> tuple[float, float]:
+        """Downs between which it makes sense to drag a focal plane [m]: crowns to below ground."""
+        lowest, ground = float(self.places[:, 2].max()), self.ground_m
+        height = max(ground - lowest, 1.0)
+        return ground - 0.9 * height, ground + 0.35 * height
+
+    def surface(self, focus: Focus) -> FocalSurface:
+        """Return the focal surface of a request.
+
+        Raises:
+            FlightError: If a terrain is asked for and there is none.
+        """
+        if focus.terrain:
+            if self.terrain is None:
+                raise FlightError(f"{self.flight.source}: there is no terrain: give --terrain FILE")
+            return shifted(self.terrain, focus.down_m)
+        tilt = FocusSettings(pitch_deg=focus.pitch_deg, roll_deg=focus.roll_deg)
+        return tilted_plane(self.flight, focus.down_m, tilt)
+
+    def nearest(self, view: VirtualCamera) -> int:
+        """Return the number of the photo that was taken nearest to a view's middle."""
+        middle = view.world_from_camera[:3, 3].copy()
+        if view.is_ortho:
+            half = 0.5 * view.gsd_m * np.array([view.width - 1, view.height - 1])
+            middle += view.world_from_camera[:3, :2] @ half
+            return int(np.argmin(np.linalg.norm((self.places - middle)[:, :2], axis=1)))
+        return int(np.argmin(np.linalg.norm(self.places - middle, axis=1)))
+
+    def frames(self, request: Request) -> list[int]:
+        """Return the numbers of the photos that count in a request."""
+        return request.aperture.frames(self.places[:, :2], request.view.world_from_camera[:2, 3])
+
+    def render(
+        self,
+        request: Request,
+        quality: Quality | None = None,
+        wanted: Wanted = lambda: True,
+    ) -> Picture:
+        """Render a picture.
+
+        Args:
+            request: What to show.
+            quality: What to leave out; nothing by default. Where masks are not ready yet, pictures
+                of less than full quality take them from some shrunk photos.
+            wanted: Asked between steps.
+
+        Raises:
+            Abandoned: If it is no longer wanted.
+            FlightError: If the request cannot be shown; the message says why.
+        """
+        return render(self, request, quality or Quality(), wanted)
+
+    def colour_at(self, request: Request, u: float, v: float) -> str | None:
+        """Return the colour under the eyedropper, for the settings' colours to keep.
+
+        Args:
+            request: The picture that was clicked on; of side by side pictures, the masked one.
+            u: Column of the pixel, pixel centres at integers.
+            v: Row of the pixel.
+
+        Returns:
+            "#rrggbb", the mean over 3 x 3 pixels; None for grey photos and where no photo sees.
+        """
+        if not self.photos.is_colour:
+            return None
+        view = window(request.view, round(u) - 1, round(v) - 1, 3, 3)
+        frames = self.frames(request)
+        kind, gains = self.weights.kind_of(request.mask.method), np.ones(3)
+        if request.layer in ("plain", "photo"):
+            kind = "plain"
+        if request.layer == "photo":
+            frames = [self.nearest(request.view)]
+            if self.weights.gains is not None:
+                gains = self.weights.gains[frames[0]]
+        integrator = self.weights.integrator(kind, request.mask)
+        image, footprint = integral(integrator, view, self.surface(request.focus), frames)
+        seen = footprint > 0.0
+        if not seen.any():
+            return None
+        white = SCALE[self.photos.images.dtype]
+        mean = np.clip(image[seen].mean(axis=0) * gains / white, 0.0, 1.0)
+        return "#" + bytes(np.rint(255.0 * mean).astype(np.uint8)).hex()
+
+    def finds(self, request: Request, wanted: Wanted = lambda: True) -> tuple[Find, ...]:
+        """Return what `hsvaos run` finds from the nearest photo's view on this focal surface.
+
+        Args:
+            request: View, focal surface and mask; its aperture does not count here.
+            wanted: Asked between steps.
+
+        Raises:
+            Abandoned: If it is no longer wanted.
+            FlightError: If the view sees nothing.
+        """
+        if self.no_parallax is not None:
+            return ()
+        index = self.nearest(request.view)
+        key = (index, request.focus, request.mask)
+        with self._finding:
+            if self._finds is not None and self._finds[0] == key:
+                return self._finds[1]
+            surface = self.surface(request.focus)
+            settings = replace(self.settings, mask=request.mask)
+            by = self.weights.integrators(request.mask, wanted)
+            if not wanted():
+                raise Abandoned
+            name = self.flight.frames[index].name
+            result, places = Renderer(by, settings, surface).render(name, self.flight.view(index))
+            found = _on_surface(result, places.places, surface)
+            self._finds = (key, found)
+        return found
+
+
+def _searches(flight: Flight, focus: FocusSettings) -> bool:
+    """Whether `choose_surface` will have to look for the focus."""
+    known = focus.down_m is not None or focus.terrain is not None
+    known = known or flight.terrain is not None or flight.ground_down_m is not None
+    return focus.autofocus or not known
+
+
+def _on_surface(
+    result: ViewResult, places: NDArray[np.float64], surface: FocalSurface
+) -> tuple[Find, ...]:
+    """Finds with the corners of their boxes on the focal surface; those in the air are left out."""
+    view = result.view
+    hits = focal_points(view, surface).numpy().reshape(view.height, view.width, 4)
+    found = []
+    boxes = result.detections.boxes_xyxy.astype(np.float64)
+    for box, score, place in zip(boxes, result.detections.scores, places, strict=True):
+        columns = np.clip(np.rint(box[[0, 2, 2, 0]]), 0, view.width - 1).astype(int)
+        rows = np.clip(np.rint(box[[1, 1, 3, 3]]), 0, view.height - 1).astype(int)
+        corners = hits[rows, columns].astype(np.float64)
+        if np.isfinite(place).all() and (corners[:, 3] > 0.0).all():
+            world = corners[:, :3] + view.world_from_camera[:3, 3]
+            found.append(Find(place, world, float(score)))
+    return tuple(found)

@@ -1,0 +1,289 @@
+"""What weighs the pixels of a flight, in stages: each made when first asked for, then kept."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from hsvaos.hue_statistics import HueStatistics, hue_statistics
+from hsvaos.kernels.hue_mask import hue_histograms
+from hsvaos.kernels.integrate import Integrator
+from hsvaos.masking import (
+    brighten_kept,
+    by_hand,
+    cut_hues,
+    find_anomalies,
+    levelled,
+    weigh_rarity,
+)
+from hsvaos.photos import Photos
+from hsvaos.rendering import Integrators
+from hsvaos.settings import MaskSettings, Settings
+
+KINDS = ("plain", "hue", "rarity", "rarity_map", "anomaly")
+
+_BATCH_PX = 8_000_000
+"""Pixels masked at once: between batches a request that is no longer wanted gives up."""
+
+_PREVIEW_PX = 900_000
+"""Pixels of all photos together that a preview masks."""
+
+_CACHE_BYTES = 2_000_000_000
+_MOST_KEPT = 6
+
+_OF_HUE = ("sigmas", "statistics", "scope", "hue_from_deg", "hue_to_deg")
+_OF_KEEPING = ("keep_colours", "keep_distance")
+_OF_BRIGHTENING = ("brighten", "target_value", "gamma", "max_gain")
+_OF_RARITY = (
+    "rarity_threshold",
+    "grey_rarity_threshold",
+    "rarity_exponent",
+    "rarity_smoothing_bins",
+)
+_FIELDS = {
+    "plain": (),
+    "hue": (*_OF_HUE, *_OF_KEEPING, *_OF_BRIGHTENING),
+    "rarity": (*_OF_RARITY, *_OF_KEEPING),
+    "rarity_map": (*_OF_RARITY, *_OF_KEEPING),
+    "anomaly": ("anomaly_quantile", *_OF_KEEPING),
+}
+"""Settings that each kind of weights depends on; a change of any other redoes nothing."""
+
+
+class Abandoned(Exception):  # noqa: N818 - not an error: a newer request made this one pointless
+    """Raised inside work that nobody waits for any more."""
+
+
+Wanted = Callable[[], bool]
+"""Tells work that takes long whether somebody still waits for it."""
+
+
+class WeightCache:
+    """Weights and integrators of a flight by kind and settings. Safe to use from several threads.
+
+    Args:
+        photos: The photos.
+        settings: Whether they are levelled.
+    """
+
+    def __init__(self, photos: Photos, settings: Settings) -> None:
+        self.photos = photos
+        self._settings = settings
+        self._locks = {kind: threading.Lock() for kind in KINDS}
+        self._base = threading.Lock()
+        self._gains: NDArray[np.float64] | None = None
+        self._has_gains = False
+        self._histograms: dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
+        self._whole: dict[str, OrderedDict[Any, Integrator]] = {k: OrderedDict() for k in KINDS}
+        self._part: dict[str, tuple[Any, Integrator]] = {}
+        self._small: tuple[tuple[int, ...], Photos] | None = None
+        self._rarity_kept: tuple[Any, Any] | None = None
+        size = int(photos.images.size)
+        self._kept = max(1, min(_MOST_KEPT, _CACHE_BYTES // max(1, 2 * size)))
+
+    @property
+    def gains(self) -> NDArray[np.float64] | None:
+        """Factors that level the photos, shape (N, 3), or None."""
+        with self._base:
+            if not self._has_gains:
+                self._gains = levelled(self.photos, self._settings)
+                self._has_gains = True
+        return self._gains
+
+    def histograms(self, statistics: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return hue histograms (N, B) and mean chroma (N,) of the photos."""
+        gains = self.gains
+        with self._base:
+            if statistics not in self._histograms:
+                self._histograms[statistics] = hue_histograms(
+                    self.photos.images,
+                    statistics=statistics,
+                    valid=self.photos.valid,
+                    gains=gains,
+                )
+            return self._histograms[statistics]
+
+    def hue_stats(self, mask: MaskSettings) -> list[HueStatistics]:
+        """Return the statistics that the hue cut of each photo follows; empty for grey photos."""
+        if not self.photos.is_colour:
+            return []
+        histograms, chroma = self.histograms(mask.statistics)
+        if mask.scope == "flight":
+            histograms, chroma = histograms.sum(axis=0)[None], chroma.mean(keepdims=True)
+        stats = [
+            hue_statistics(row, float(mean), statistics=mask.statistics, sigmas=mask.sigmas)
+            for row, mean in zip(histograms, chroma, strict=True)
+        ]
+        return by_hand(mask, stats * (len(self.photos.flight) // len(stats)))
+
+    def kind_of(self, method: str) -> str:
+        """Return the kind of weights of a mask method; grey photos have no hue to cut."""
+        if method == "none" or (method == "hue" and not self.photos.is_colour):
+            return "plain"
+        return method
+
+    def integrator(
+        self, kind: str, mask: MaskSettings, wanted: Wanted = lambda: True
+    ) -> Integrator:
+        """Return the integrator of all photos.
+
+        Args:
+            kind: One of `KINDS`.
+            mask: The settings.
+            wanted: Asked between steps.
+
+        Raises:
+            Abandoned: If it is no longer wanted.
+        """
+        key = _key(kind, mask)
+        with self._locks[kind]:
+            kept = self._whole[kind]
+            if key not in kept:
+                while len(kept) >= self._kept:  # before the new one, which needs the memory
+                    kept.popitem(last=False)
+                kept[key] = self._make_whole(kind, mask, wanted)
+            kept.move_to_end(key)
+            return kept[key]
+
+    def has(self, kind: str, mask: MaskSettings) -> bool:
+        """Whether the integrator of all photos is there already."""
+        return _key(kind, mask) in self._whole[kind]
+
+    def preview(self, kind: str, mask: MaskSettings, frames: tuple[int, ...]) -> Integrator:
+        """Return an integrator of some shrunk photos, made within a few milliseconds.
+
+        Args:
+            kind: One of `KINDS`.
+            mask: The settings.
+            frames: Numbers of the photos.
+        """
+        key = (_key(kind, mask), frames)
+        with self._locks[kind]:
+            if kind not in self._part or self._part[kind][0] != key:
+                part = self._shrunk(frames)
+                chosen = list(frames)
+                stats = [self.hue_stats(mask)[i] for i in chosen] if kind == "hue" else []
+                gains = None if self.gains is None else self.gains[chosen]
+                self._part[kind] = (key, _integrator(kind, part, mask, stats, gains))
+            return self._part[kind][1]
+
+    def integrators(self, mask: MaskSettings, wanted: Wanted = lambda: True) -> Integrators:
+        """Return all integrators that `hsvaos.rendering.Renderer` asks for."""
+        hue = self.integrator("hue", mask, wanted) if self.photos.is_colour else None
+        return Integrators(
+            plain=self.integrator("plain", mask, wanted),
+            chosen=self.integrator(self.kind_of(mask.method), mask, wanted),
+            rarity=self.integrator("rarity", mask, wanted),
+            hue=hue,
+            rarity_map=self.integrator("rarity_map", mask, wanted),
+        )
+
+    def _make_whole(self, kind: str, mask: MaskSettings, wanted: Wanted) -> Integrator:
+        photos, gains = self.photos, self.gains
+        if kind in ("rarity", "rarity_map"):
+            return _integrator(kind, photos, mask, [], gains, self._rarity(mask, wanted))
+        if kind != "hue":
+            return _integrator(kind, photos, mask, [], gains)
+        stats = self.hue_stats(mask)
+        shape = photos.images.shape
+        cut = wp.empty(shape[:3], dtype=wp.uint8, device=photos.images.device)
+        bright = wp.empty_like(photos.images) if mask.brighten else None
+        batch = max(1, _BATCH_PX // (shape[1] * shape[2]))
+        for start in range(0, shape[0], batch):
+            if not wanted():
+                raise Abandoned
+            part = slice(start, min(start + batch, shape[0]))
+            some = _slice(photos, part)
+            levels = None if gains is None else gains[part]
+            hue = cut_hues(some, mask, stats[part], levels)
+            wp.copy(cut[part], hue)
+            if bright is not None:
+                wp.copy(bright[part], brighten_kept(some, mask, hue, levels))
+        if bright is not None:
+            return Integrator(photos.flight.camera, bright, photos.flight.poses, cut)
+        return Integrator(
+            photos.flight.camera, photos.images, photos.flight.poses, cut, gains=gains
+        )
+
+    def _rarity(self, mask: MaskSettings, wanted: Wanted) -> Any:
+        """Rarity weights, of which there are two integrators: by them, and of them."""
+        if not wanted():
+            raise Abandoned
+        key = _key("rarity", mask)
+        with self._base:
+            if self._rarity_kept is not None and self._rarity_kept[0] == key:
+                return self._rarity_kept[1]
+        weights = weigh_rarity(self.photos, mask, self.gains)
+        with self._base:
+            self._rarity_kept = (key, weights)
+        return weights
+
+    def _shrunk(self, frames: tuple[int, ...]) -> Photos:
+        """Some photos, shrunk so that masking them takes no longer than drawing."""
+        if self._small is not None and self._small[0] == frames:
+            return self._small[1]
+        photos = self.photos
+        height, width = photos.images.shape[1:3]
+        scale = min(1.0, (_PREVIEW_PX / (len(frames) * height * width)) ** 0.5)
+        size = (max(1, round(width * scale)), max(1, round(height * scale)))
+
+        def small(image: NDArray[Any]) -> NDArray[Any]:
+            return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+
+        stack = np.stack([small(photos.images[frame].numpy()) for frame in frames])
+        images: Any = wp.array(stack, dtype=photos.images.dtype, device=photos.images.device)
+        valid = photos.valid
+        if valid is not None:
+            valid = np.stack([small(photos.valid_of(frame)) for frame in frames])
+        flight = photos.flight.subset(frames)
+        flight = flight.replace(camera=flight.camera.scaled(*size))
+        self._small = (frames, Photos(flight, images, valid, ()))
+        return self._small[1]
+
+
+def _key(kind: str, mask: MaskSettings) -> Any:
+    return tuple(getattr(mask, name) for name in _FIELDS[kind])
+
+
+def _slice(photos: Photos, part: slice) -> Photos:
+    valid = photos.valid
+    if valid is not None and valid.ndim == 3:
+        valid = valid[part]
+    frames = range(part.start, part.stop)
+    return replace(
+        photos, flight=photos.flight.subset(frames), images=photos.images[part], valid=valid
+    )
+
+
+def _integrator(
+    kind: str,
+    photos: Photos,
+    mask: MaskSettings,
+    stats: list[HueStatistics],
+    gains: NDArray[np.float64] | None,
+    rarity: Any = None,
+) -> Integrator:
+    """Return the integrator of one kind; the same choices as `rendering.make_integrators`."""
+    camera, poses = photos.flight.camera, photos.flight.poses
+    if kind == "plain":
+        return Integrator(camera, photos.images, poses, photos.valid)
+    if kind == "hue":
+        hue = cut_hues(photos, mask, stats, gains)
+        if mask.brighten:
+            return Integrator(camera, brighten_kept(photos, mask, hue, gains), poses, hue)
+        return Integrator(camera, photos.images, poses, hue, gains=gains)
+    if kind == "anomaly":
+        found = find_anomalies(photos, mask, gains)
+        return Integrator(camera, photos.images, poses, found, gains=gains)
+    weights = weigh_rarity(photos, mask, gains) if rarity is None else rarity
+    if kind == "rarity_map":
+        return Integrator(camera, weights, poses, photos.valid)
+    return Integrator(camera, photos.images, poses, weights, gains=gains)

@@ -1,0 +1,116 @@
+"""The plain page: pictures, settings and errors over HTTP."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import socket
+from collections.abc import Iterator
+from urllib.parse import urlencode
+
+import cv2
+import numpy as np
+import pytest
+
+from hsvaos.settings import Settings
+from hsvaos.viewer.plain import PlainApp
+from hsvaos.viewer.request import Focus
+from hsvaos.viewer.session import Session
+
+
+@pytest.fixture
+def app(session: Session) -> Iterator[PlainApp]:
+    made = PlainApp(session, port=0)
+    yield made
+    made.close()
+
+
+def get(app: PlainApp, path: str, **values: object) -> tuple[int, dict[str, str], bytes]:
+    connection = http.client.HTTPConnection(app.host, app.port, timeout=60)
+    connection.request("GET", path + ("?" + urlencode(values) if values else ""))
+    answer = connection.getresponse()
+    content = answer.read()
+    connection.close()
+    return answer.status, dict(answer.getheaders()), content
+
+
+def test_the_page_and_its_pictures(app: PlainApp) -> None:
+    status, headers, page = get(app, "/")
+    assert status == 200
+    assert b'name="down"' in page
+    assert b"$" not in page.split(b"<script>")[0]
+    assert headers["Content-Type"].startswith("text/html")
+    pictures = []
+    for down in (-6.0, 0.0):
+        status, headers, content = get(app, "/picture.jpg", down=down, tab="a", layer="plain")
+        assert status == 200
+        state = json.loads(headers["X-Status"])
+        assert state["full"]
+        assert state["frames"] == state["photos"] == 30
+        pictures.append(cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR))
+    request = app.request({"down": "0.0", "layer": "plain"})
+    assert request.focus == Focus(0.0)
+    expected = app.session.render(request).rgb[..., ::-1]
+    assert np.abs(pictures[1].astype(int) - expected).mean() < 4.0
+    assert np.abs(pictures[0].astype(int) - expected).mean() > 8.0
+
+
+def test_saved_settings_and_pictures(app: PlainApp) -> None:
+    status, headers, content = get(app, "/settings.toml", down=-1.5, sigmas=1.25, radius=8)
+    assert status == 200
+    assert "attachment" in headers["Content-Disposition"]
+    settings = Settings.from_toml(content.decode())
+    assert (settings.focus.down_m, settings.mask.sigmas, settings.view.aperture_m) == (
+        -1.5,
+        1.25,
+        8,
+    )
+    status, _, content = get(app, "/picture.png", down=-1.5)
+    assert status == 200
+    assert content.startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"down": "deep"}, "down must be a number, got 'deep'"),
+        ({"down": "nan"}, "focus.down_m must be finite"),
+        ({"down": "1e12"}, "focus.down_m must be at least"),
+        ({"pitch": "89"}, "focus.pitch_deg must be at least -60"),
+        ({"photo": "-4"}, "photo must lie in 0..29, got -4"),
+        ({"sigmas": "0"}, "mask.sigmas must be a positive number"),
+        ({"mask": "magic"}, "mask.method must be one of"),
+        ({"layer": "x-ray"}, "layer must be one of"),
+        ({"terrain": "1"}, "there is no terrain"),
+    ],
+)
+def test_absurd_values_are_named(app: PlainApp, values: dict[str, str], message: str) -> None:
+    status, _, content = get(app, "/picture.jpg", **values)
+    assert status == 400
+    assert message in content.decode()
+
+
+def test_other_paths_are_not_found(app: PlainApp) -> None:
+    for path in ("/etc/passwd", "/../pyproject.toml", "/picture"):
+        assert get(app, path)[0] == 404
+
+
+def test_a_client_that_leaves_in_the_middle_of_a_picture(app: PlainApp) -> None:
+    for _ in range(5):
+        with socket.create_connection((app.host, app.port)) as line:
+            line.sendall(b"GET /picture.png?photo=3 HTTP/1.1\r\nHost: x\r\n\r\n")
+            line.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+    assert get(app, "/picture.jpg", down=0.0)[0] == 200
+
+
+def test_a_taken_port_moves_on(session: Session) -> None:
+    first = PlainApp(session, port=0)
+    second = PlainApp(session, port=first.port)
+    try:
+        assert second.port > first.port
+        assert get(second, "/")[0] == 200
+    finally:
+        second.close()
+        first.close()
+    with pytest.raises(OSError, match="cannot listen at"):
+        PlainApp(session, host="192.0.2.1", port=8080)
