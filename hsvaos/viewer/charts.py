@@ -67,6 +67,9 @@ def hue_chart(session: Session, mask: MaskSettings, first: float) -> dict[str, A
 
 
 def _unit(curve: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A curve on a logarithmic scale from 0 to 1."""
-    heights = np.log(np.maximum(curve, max(float(curve.max()), 1e-12) * 1e-4))
+    """A curve on a logarithmic scale from 0 to 1; 0 where nothing was seen."""
+    seen = curve > 0.0
+    if not seen.any():
+        return np.zeros_like(curve)
+    heights = np.log(np.where(seen, curve, curve[seen].min()))
     return np.asarray((heights - heights.min()) / (float(np.ptp(heights)) or 1.0))

@@ -69,7 +69,7 @@ def view(
     console = Console()
     opened = open_flight(flight, None, poses, format, fov, ground_down, frame_mask)
     with console.progress() as progress:
-        session = Session(opened, chosen, device, progress)
+        session = Session.open(opened, chosen, device, progress)
     app = PlainApp(session, host, port) if plain else App(session, host, port)
     try:
         console.notes(session.notes)

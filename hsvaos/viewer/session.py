@@ -45,38 +45,34 @@ class Find:
 class Session:
     """Photos and masks of one flight on a device. Its methods may be called from any thread.
 
-    The photos are decoded once, here: a flight that vanishes from the disk later can still be
-    looked at.
-
     Args:
-        flight: Photos with poses, or with a sensor log.
-        settings: Where to start from; scale and levelling of the photos stay as they are here.
-        device: "cpu", "cuda:0", ...
-        progress: Told of decoding, of poses and of a search for focus.
+        photos: The photos, with the flight they are of.
+        settings: Where to start from; levelling of the photos stays as it is here.
+        progress: Told of a search for focus.
+        notes: What the user should know of the flight.
 
     Raises:
         FlightError: If the flight cannot be used.
-        ValueError: If a setting or the device makes no sense.
+        ValueError: If a setting makes no sense.
     """
 
     def __init__(
         self,
-        flight: Flight,
+        photos: Photos,
         settings: Settings | None = None,
-        device: Any = "cpu",
         progress: Progress | None = None,
+        notes: tuple[str, ...] = (),
     ) -> None:
         self.settings = Settings() if settings is None else settings
-        self.device = resolve_device(device)
-        found = with_poses(flight, progress)
-        self.photos: Photos = load_photos(found, self.settings.photos.scale, self.device, progress)
-        self.flight = self.photos.flight
-        self.weights = WeightCache(self.photos, self.settings)
+        self.photos = photos
+        self.device = photos.images.device
+        self.flight = photos.flight
+        self.weights = WeightCache(photos, self.settings)
         sharp: list[Integrator] = []
         if _searches(self.flight, self.settings.focus):
             mask = self.settings.mask
             sharp = [self.weights.integrator(kind, mask) for kind in ("plain", "rarity_map")]
-        surface, notes = choose_surface(self.flight, self.settings.focus, sharp, progress)
+        surface, focus_notes = choose_surface(self.flight, self.settings.focus, sharp, progress)
         self.terrain: FocalTerrain | None = None
         if isinstance(surface, FocalTerrain):
             offset = self.settings.focus.offset_m
@@ -87,9 +83,34 @@ class Session:
             self.start = Focus(float(surface.point[2]), tilt.pitch_deg, tilt.roll_deg)
         self.no_parallax = without_parallax(self.flight, surface)
         still = () if self.no_parallax is None else (self.no_parallax,)
-        self.notes = (*found.notes, *self.photos.notes, *notes, *still)
+        self.notes = (*notes, *photos.notes, *focus_notes, *still)
         self._finds: tuple[Any, tuple[Find, ...]] | None = None
         self._finding = threading.Lock()
+
+    @classmethod
+    def open(
+        cls,
+        flight: Flight,
+        settings: Settings | None = None,
+        device: Any = "cpu",
+        progress: Progress | None = None,
+    ) -> Session:
+        """Decode the photos of a flight, once: it may vanish from the disk after that.
+
+        Args:
+            flight: Photos with poses, or with a sensor log.
+            settings: Where to start from; the scale of the photos stays as it is here.
+            device: "cpu", "cuda:0", ...
+            progress: Told of decoding, of poses and of a search for focus.
+
+        Raises:
+            FlightError: If the flight cannot be used.
+            ValueError: If a setting or the device makes no sense.
+        """
+        chosen = Settings() if settings is None else settings
+        found = with_poses(flight, progress)
+        photos = load_photos(found, chosen.photos.scale, resolve_device(device), progress)
+        return cls(photos, chosen, progress, found.notes)
 
     @property
     def places(self) -> NDArray[np.float64]:

@@ -20,7 +20,7 @@ SMALL = Settings(photos=PhotoSettings(scale=0.25))
 @pytest.fixture(scope="package")
 def session() -> Session:
     """The demo flight with small photos."""
-    return Session(hsvaos.open_flight(FOLDER), SMALL)
+    return Session.open(hsvaos.open_flight(FOLDER), SMALL)
 
 
 @pytest.fixture(scope="package")
@@ -39,7 +39,7 @@ def live(session: Session) -> Iterator[Live]:
 @pytest.fixture(scope="package")
 def grey(tmp_path_factory: pytest.TempPathFactory) -> Session:
     """Thermal photos: one channel."""
-    return Session(_made(tmp_path_factory.mktemp("grey"), 3, colour=False))
+    return Session.open(_made(tmp_path_factory.mktemp("grey"), 3, colour=False))
 
 
 def _made(folder: Path, count: int, colour: bool = True) -> hsvaos.Flight:
@@ -61,4 +61,4 @@ def _made(folder: Path, count: int, colour: bool = True) -> hsvaos.Flight:
 @pytest.fixture(scope="package")
 def lone(tmp_path_factory: pytest.TempPathFactory) -> Session:
     """One photo only."""
-    return Session(_made(tmp_path_factory.mktemp("lone"), 1))
+    return Session.open(_made(tmp_path_factory.mktemp("lone"), 1))

@@ -45,7 +45,7 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture(scope="module")
 def flight_session() -> Session:
-    return Session(hsvaos.open_flight(FOLDER))
+    return Session.open(hsvaos.open_flight(FOLDER))
 
 
 @pytest.fixture
@@ -222,17 +222,16 @@ def test_hues_autofocus_and_eyedropper(app: App, page: Any) -> None:
     until(lambda: tab.controls.curve.visible)
     settled(tab)
     page.get_by_role("tab", name="Mask").click()
-    thumbs = page.get_by_role("slider")
-    low = next(
-        thumbs.nth(i)
-        for i in range(thumbs.count())
-        if thumbs.nth(i).get_attribute("aria-valuenow") == str(int(tab.controls.cuts.value[0]))
-    )
+    page.wait_for_timeout(1500)
     before = tab.controls.cuts.value
-    low.focus()
-    for _ in range(10):
-        low.press("ArrowLeft")
-    until(lambda: tab.controls.cuts.value[0] == pytest.approx(before[0] - 10.0))
+    low = page.locator(".multi-slider-thumb:visible").first.bounding_box()
+    page.mouse.move(low["x"] + low["width"] / 2, low["y"] + low["height"] / 2)
+    page.mouse.down()
+    page.wait_for_timeout(500)  # the page listens to movements only after that
+    page.mouse.move(low["x"] - 20, low["y"] + low["height"] / 2, steps=5)
+    page.wait_for_timeout(200)
+    page.mouse.up()
+    until(lambda: tab.controls.cuts.value[0] < before[0] - 10.0)
     until(lambda: tab.controls.by_hand.value)
     until(lambda: tab.last is not None and tab.last.mask.hue_from_deg is not None)
     page.get_by_text("Eyedropper").click()

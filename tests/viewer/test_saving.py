@@ -52,7 +52,7 @@ def test_terrain_is_saved_as_terrain(tmp_path: Path, request_: Request) -> None:
     path = tmp_path / "t.npz"
     np.savez(path, north_m=axis, east_m=axis, down_m=np.zeros((13, 13)))
     start = Settings(focus=FocusSettings(terrain=str(path)), photos=PhotoSettings(scale=0.125))
-    session = Session(hsvaos.open_flight(FOLDER), start)
+    session = Session.open(hsvaos.open_flight(FOLDER), start)
     saved = settings_of(session, replace(request_, focus=Focus(-2.0, terrain=True))).focus
     assert (saved.terrain, saved.offset_m, saved.down_m) == (str(path), -2.0, None)
     saved = settings_of(session, replace(request_, focus=Focus(-2.0, 1.0))).focus

@@ -77,7 +77,7 @@ def test_bands_of_rows_are_the_whole(
 def test_changing_sigmas_redoes_the_mask_only(
     request_: Request, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    session = Session(hsvaos.open_flight(FOLDER), Settings(photos=PhotoSettings(scale=0.25)))
+    session = Session.open(hsvaos.open_flight(FOLDER), Settings(photos=PhotoSettings(scale=0.25)))
     session.render(request_)
     counted: list[str] = []
     for name in ("levelled", "hue_histograms", "cut_hues", "brighten_kept"):
@@ -103,13 +103,13 @@ def test_a_flight_may_vanish_while_it_is_looked_at(tmp_path: Path) -> None:
     shutil.copytree(FOLDER, tmp_path / "flight")
     settings = Settings(photos=PhotoSettings(scale=0.125))
     flight = hsvaos.open_flight(tmp_path / "flight")
-    session = Session(flight, settings)
+    session = Session.open(flight, settings)
     shutil.rmtree(tmp_path / "flight")
     view = session.flight.view(0)
     for layer in LAYERS:
         assert session.render(Request(view, layer=layer)).rgb.std() > 0.0
     with pytest.raises(FlightError, match="no photo can be used"):
-        Session(flight, settings)
+        Session.open(flight, settings)
 
 
 def test_notes_say_why_a_picture_is_empty(session: Session, request_: Request) -> None:
@@ -143,7 +143,7 @@ def test_a_terrain_is_shifted(tmp_path: Path, request_: Request) -> None:
     np.savez(tmp_path / "t.npz", north_m=axis, east_m=axis, down_m=np.full((13, 13), 1.0))
     focus = FocusSettings(terrain=str(tmp_path / "t.npz"), offset_m=0.5)
     settings = Settings(photos=PhotoSettings(scale=0.25), focus=focus)
-    session = Session(hsvaos.open_flight(FOLDER), settings)
+    session = Session.open(hsvaos.open_flight(FOLDER), settings)
     assert session.start == Focus(0.5, terrain=True)
     terrain = session.render(replace(request_, focus=Focus(-1.0, terrain=True)))
     plane = session.render(replace(request_, focus=Focus(0.0)))
@@ -177,7 +177,7 @@ def test_eyedropper_keeps_the_colour_it_picked(session: Session, request_: Reque
 
 def test_finds_are_those_of_a_run() -> None:
     flight = hsvaos.open_flight(FOLDER)
-    session = Session(flight)
+    session = Session.open(flight)
     asked = Request(session.flight.view(session.flight.centre_index), session.start)
     finds = session.finds(asked)
     result = hsvaos.run(flight)
