@@ -16,7 +16,24 @@ from hsvaos.viewer.weights import Abandoned, Wanted
 STILL_S = 0.2
 """Time without a new request after which a picture is drawn in full."""
 
-Job = Callable[[Wanted], None]
+
+class Ticket:
+    """What a job is told of its fate: call it to learn whether it is still wanted."""
+
+    def __init__(self) -> None:
+        self.replaced = False
+        self.left = False
+
+    def __call__(self) -> bool:
+        """Whether no newer job has come and the owner is still there."""
+        return not (self.replaced or self.left)
+
+    def owned(self) -> bool:
+        """Whether the owner is still there, although a newer job may have come."""
+        return not self.left
+
+
+Job = Callable[[Ticket], None]
 OnError = Callable[[Exception], None]
 
 
@@ -27,10 +44,11 @@ class _Slot:
         self, job: Job, on_error: OnError, ready: float, on_drop: Callable[[], None] | None
     ) -> None:
         self.job, self.on_error, self.ready, self.on_drop = job, on_error, ready, on_drop
-        self.dropped = False
+        self.ticket = Ticket()
 
-    def drop(self) -> None:
-        self.dropped = True
+    def drop(self, left: bool) -> None:
+        self.ticket.replaced = True
+        self.ticket.left = self.ticket.left or left
         if self.on_drop is not None:
             self.on_drop()
 
@@ -78,7 +96,7 @@ class Worker:
         with self._changed:
             if self._closed or (only_if is not None and not only_if()):
                 return
-            self._drop(owner, kind)
+            self._drop(owner, kind, left=False)
             self._waiting[owner, kind] = _Slot(job, on_error, monotonic() + delay_s, on_drop)
             self._changed.notify_all()
 
@@ -95,13 +113,13 @@ class Worker:
                 keys.append(self._running[0])
             for key in keys:
                 if key[0] == owner and kind in (None, key[1]):
-                    self._drop(*key)
+                    self._drop(*key, left=True)
 
     def has(self, owner: Hashable, kind: str) -> bool:
         """Whether a job of that owner and kind waits or runs."""
         with self._changed:
             running = self._running
-            busy = running is not None and running[0] == (owner, kind) and not running[1].dropped
+            busy = running is not None and running[0] == (owner, kind) and running[1].ticket()
             return busy or (owner, kind) in self._waiting
 
     def close(self) -> None:
@@ -109,17 +127,17 @@ class Worker:
         with self._changed:
             self._closed = True
             for key in [*self._waiting, *([self._running[0]] if self._running else [])]:
-                self._drop(*key)
+                self._drop(*key, left=True)
             self._changed.notify_all()
         if threading.current_thread() is not self._thread:
             self._thread.join()
 
-    def _drop(self, owner: Hashable, kind: str) -> None:
+    def _drop(self, owner: Hashable, kind: str, left: bool) -> None:
         waiting = self._waiting.pop((owner, kind), None)
         if waiting is not None:
-            waiting.drop()
+            waiting.drop(left)
         if self._running is not None and self._running[0] == (owner, kind):
-            self._running[1].drop()
+            self._running[1].drop(left)
 
     def _next(self) -> _Slot | None:
         """Wait for a job that is due; None at the end."""
@@ -138,14 +156,13 @@ class Worker:
 
     def _run(self) -> None:
         while (slot := self._next()) is not None:
-            one = slot
             try:
-                one.job(lambda one=one: not one.dropped)  # type: ignore[misc]
+                slot.job(slot.ticket)
             except Abandoned:
                 pass
             except Exception as error:
-                if not one.dropped:
-                    _tell(one.on_error, error)
+                if slot.ticket():
+                    _tell(slot.on_error, error)
 
 
 def _tell(on_error: OnError, error: Exception) -> None:
@@ -190,19 +207,24 @@ class Live:
             on_error: Told of what goes wrong.
         """
 
-        def draw(wanted: Wanted) -> None:
+        def draw(ticket: Ticket) -> None:
+            if not request.moving:
+                sharpen(ticket)
+                return
             quality = self._quality(request)
-            picture = self.session.render(request, quality, wanted)
+            # it is quick, and shown although a newer one waits: else nothing would be seen at all
+            # while events come faster than pictures
+            picture = self.session.render(request, quality, ticket.owned)
             self.pace.measured(picture.rays, picture.integrate_ms)
-            if not wanted():
+            if not ticket.owned():
                 raise Abandoned
             deliver(picture)
             if not quality.full:
-                self._pictures.submit(owner, "picture", sharpen, on_error, STILL_S, wanted)
+                self._pictures.submit(owner, "picture", sharpen, on_error, STILL_S, ticket)
 
-        def sharpen(wanted: Wanted) -> None:
-            picture = self.session.render(request, Quality(), wanted)
-            if not wanted():
+        def sharpen(ticket: Ticket) -> None:
+            picture = self.session.render(request, Quality(), ticket)
+            if not ticket():
                 raise Abandoned
             deliver(picture)
 
@@ -226,8 +248,8 @@ class Live:
             on_drop: Told where a newer request came first.
         """
 
-        def draw(wanted: Wanted) -> None:
-            picture = self.session.render(request, self._quality(request), wanted)
+        def draw(ticket: Ticket) -> None:
+            picture = self.session.render(request, self._quality(request), ticket)
             if request.moving:
                 self.pace.measured(picture.rays, picture.integrate_ms)
             deliver(picture)

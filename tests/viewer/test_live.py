@@ -114,6 +114,27 @@ def test_coarse_while_moving_then_full_and_never_stale(
     assert len(shown) <= 42
 
 
+def test_pictures_come_although_events_come_faster(
+    session: Session, request_: Request, live: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original = session.render
+
+    def slow(*arguments: object) -> Picture:
+        time.sleep(0.03)
+        return original(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(session, "render", slow)
+    shown: list[Picture] = []
+    for i in range(100):
+        asked = replace(request_, focus=Focus(-0.01 * i), moving=True)
+        live.show("tab", asked, shown.append, fail)
+        time.sleep(0.01)
+    while_moving = len(shown)
+    idle(live, "tab")
+    assert while_moving >= 5
+    assert shown[-1].request is asked
+
+
 def test_masks_not_made_yet_are_previewed(request_: Request, live: Live) -> None:
     shown: list[Picture] = []
     asked = replace(request_, moving=True, mask=MaskSettings(sigmas=1.2345))
