@@ -1,7 +1,7 @@
 """Training flights: small simulated forests of every season with many people in them.
 
 Seeds: training flights have seeds from `FIRST_TRAINING_SEED`, those for choosing epochs and
-thresholds from `FIRST_TUNING_SEED`. Every other seed is unseen; `bench/paper` uses those below 1000.
+thresholds from `FIRST_TUNING_SEED`. Tests and tables use other seeds, which are thus unseen.
 """
 
 from __future__ import annotations
