@@ -93,8 +93,9 @@ def _picture(values: Any, name: str) -> tuple[NDArray[np.float32], NDArray[np.bo
         raise ValueError(
             f"{name} must have shape (H, W, 3) or (H, W), got {np.asarray(values).shape}"
         )
-    seen = np.isfinite(picture).all(axis=2)
-    return np.where(seen[..., None], picture, np.float32(0.0)), seen
+    seen = np.asarray(np.isfinite(picture).all(axis=2))
+    kept = np.where(seen[..., None], picture, np.float32(0.0))
+    return np.asarray(kept, dtype=np.float32), seen
 
 
 def _fitting(values: Any, size: tuple[int, ...], name: str) -> NDArray[np.float32] | None:
