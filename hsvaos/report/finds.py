@@ -56,6 +56,9 @@ def _person(person: Person) -> dict[str, Any]:
         "lat_deg": _number(person.lat_deg),
         "lon_deg": _number(person.lon_deg),
         "std_m": _number(person.std_m),
+        "covariance_m2": None
+        if person.covariance_m2 is None
+        else [[_number(value) for value in row] for row in person.covariance_m2],
         "score": _number(person.score),
         "views": int(person.views),
     }
