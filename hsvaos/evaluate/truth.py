@@ -7,7 +7,7 @@ Boxes are left, top, right, bottom in pixels whose centres lie at integers: a sh
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -136,7 +136,17 @@ def read_truth(flight: Flight) -> tuple[TruthPerson, ...]:
         FlightError: If there is no truth.json, it is malformed or names no people, or the flight
             has no poses.
     """
-    path = truth_file(flight)
+    people = read_people(truth_file(flight))
+    photos = [VirtualCamera(flight.camera, pose) for pose in flight.poses]
+    return tuple(_counted(person, photos) for person in people)
+
+
+def read_people(path: Path) -> tuple[TruthPerson, ...]:
+    """Read a truth.json by itself, without the number of photos that have each person.
+
+    Raises:
+        FlightError: If it is not there, malformed or names no people.
+    """
     if not path.is_file():
         raise FlightError(
             f"{path}: no such file: expected a flight with known truth, such as hsvaos simulate "
@@ -148,29 +158,27 @@ def read_truth(flight: Flight) -> tuple[TruthPerson, ...]:
         raise FlightError(f"{path}: expected an object with a list of people")
     if not entries:
         raise FlightError(f"{path}: no people: there is nothing to evaluate")
-    camera = flight.camera
-    photos = [VirtualCamera(camera, pose) for pose in flight.poses]
-    people = [_person(entry, number, path, photos) for number, entry in enumerate(entries)]
+    people = [_person(entry, f"{path}: people[{k}]") for k, entry in enumerate(entries)]
     if len({person.id for person in people}) < len(people):
         raise FlightError(f"{path}: two people have the same id")
     return tuple(people)
 
 
-def _person(entry: Any, number: int, path: Path, photos: list[VirtualCamera]) -> TruthPerson:
-    where = f"{path}: people[{number}]"
+def _person(entry: Any, where: str) -> TruthPerson:
     if not isinstance(entry, dict):
         raise FlightError(f"{where}: expected an object, got {entry!r:.60}")
     missing = [key for key in ("id", "outline_ned_m", "visible_fraction_mean") if key not in entry]
     if missing:
         raise FlightError(f"{where}: lacks {', '.join(missing)}")
     visible, occlusion = entry["visible_fraction_mean"], entry.get("occlusion")
-    name = str(entry["id"])
     try:
         outline = np.array(entry["outline_ned_m"], dtype=np.float64)
         share = 0.0 if visible is None else float(visible)
-        person = TruthPerson(name, outline, occlusion or UNSEEN, share, 0.0)
-        seen = [truth_box(name, person.outline, photo) for photo in photos]
-        count = sum(box.inside for box in seen if box is not None)
-        return TruthPerson(name, person.outline, person.occlusion, share, count)
+        return TruthPerson(str(entry["id"]), outline, str(occlusion or UNSEEN), share, 0.0)
     except (TypeError, ValueError) as error:
         raise FlightError(f"{where}: {error}") from None
+
+
+def _counted(person: TruthPerson, photos: Sequence[VirtualCamera]) -> TruthPerson:
+    boxes = (truth_box(person.id, person.outline, photo) for photo in photos)
+    return replace(person, photos=sum(box.inside for box in boxes if box is not None))

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hsvaos.evaluate.evaluation import Evaluation, Rules, evaluate_flights
+from hsvaos.evaluate.evaluation import evaluate_flights
+from hsvaos.evaluate.measures import Evaluation, Rules
 from hsvaos.evaluate.persons import match_persons
 from hsvaos.evaluate.results import FlightResult, JudgedView
 from hsvaos.evaluate.truth import truth_boxes
