@@ -92,11 +92,15 @@ def _boxes(results: Sequence[FlightResult], chosen: Chosen, iou: float, rules: R
     parts = []
     for result in results:
         wanted = {person.id for person in result.people if chosen(person)}
-        parts += [_view_boxes(view, wanted, iou, rules) for view in result.views]
+        unreached = {person.id for person in result.people if person.rays < rules.min_rays}
+        apart = unreached - wanted
+        parts += [_view_boxes(view, wanted, apart, iou, rules) for view in result.views]
     return Matches.join(parts)
 
 
-def _view_boxes(view: JudgedView, wanted: set[str], iou: float, rules: Rules) -> Matches:
+def _view_boxes(
+    view: JudgedView, wanted: set[str], apart: set[str], iou: float, rules: Rules
+) -> Matches:
     truth = np.array([box.xyxy for box in view.truth], dtype=np.float64).reshape(-1, 4)
     return match_boxes(
         view.found.boxes_xyxy,
@@ -104,8 +108,8 @@ def _view_boxes(view: JudgedView, wanted: set[str], iou: float, rules: Rules) ->
         truth,
         iou,
         ignore=[box.person not in wanted for box in view.truth],
-        # of somebody at the border any part may be found, and need not
-        regions=[box.inside < rules.min_inside for box in view.truth],
+        # of whom nothing is asked, any part may be found, any number of times
+        regions=[box.inside < rules.min_inside or box.person in apart for box in view.truth],
         most=rules.most,
     )
 

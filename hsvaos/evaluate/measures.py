@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-ALL, UNREACHED, EVERYONE = "all", "unreached", "all and unreached"
+ALL, UNREACHED, EVERYONE = "all", "unreached", "everyone"
 """Groups beside the occlusion classes: who is reached by rays, who is not, and both together."""
 
 
@@ -63,7 +63,8 @@ class DetectionRow:
 
     Args:
         group: An occlusion class, or `ALL`, `UNREACHED`, `EVERYONE`. Finds of people of other
-            groups count neither way; false finds count in each group.
+            groups count neither way, and where somebody unreached lies any find may; false finds
+            count in each group.
         iou: Threshold.
         boxes: True boxes to be found.
         ap_coco101: Average precision at 101 recalls.

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hsvaos.camera import VirtualCamera
 from hsvaos.detect.detections import Detections, Person
 from hsvaos.evaluate.seen import ground_seen_ha
 from hsvaos.evaluate.truth import TruthBox, TruthPerson, truth_boxes
@@ -27,6 +28,15 @@ class JudgedView(NamedTuple):
     frame: str
     found: Detections
     truth: tuple[TruthBox, ...]
+
+
+def rendered_views(result: Result) -> list[VirtualCamera]:
+    """Return the virtual camera of every view of a run, in the order of `result.views`."""
+    number = {frame.name: k for k, frame in enumerate(result.flight.frames)}
+    return [
+        result.main.view if frame == result.main.frame else result.flight.view(number[frame])
+        for frame, _ in result.views
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,14 +85,13 @@ class FlightResult:
             people: From `read_truth`.
             name: What to call the flight; its own name if None.
         """
-        flight = result.flight
-        views = []
-        for frame, found in result.views:
-            main = frame == result.main.frame
-            view = result.main.view if main else flight.view(flight.index(frame))
-            views.append(JudgedView(frame, found, truth_boxes(people, view)))
-        area_ha = ground_seen_ha(flight, result.surface)
-        return cls(name or flight.name, tuple(views), result.persons, tuple(people), area_ha)
+        cameras = rendered_views(result)
+        views = tuple(
+            JudgedView(frame, found, truth_boxes(people, view))
+            for (frame, found), view in zip(result.views, cameras, strict=True)
+        )
+        area_ha = ground_seen_ha(result.flight, result.surface)
+        return cls(name or result.flight.name, views, result.persons, tuple(people), area_ha)
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as JSON types."""

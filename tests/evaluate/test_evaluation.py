@@ -60,18 +60,18 @@ def test_matches_are_one_to_one_and_within_the_radius(seed: int, radius: float) 
 def test_perfect_finds_and_who_is_listed_apart() -> None:
     evaluation = evaluate_flights([perfect("x", PEOPLE), perfect("y", PEOPLE[:2])])
     groups = [row.group for row in evaluation.persons]
-    assert groups == ["all", "full", "half", "open", "unreached", "all and unreached"]
+    assert groups == ["all", "full", "half", "open", "unreached", "everyone"]
     assert len(evaluation.detection) == 3 * len(groups)
     for row in evaluation.detection:
         assert row.ap_coco101 == row.ap_voc11 == row.ap_all == row.precision == row.recall == 1.0
         assert row.fp == row.fn == 0
     boxes = {row.group: row.boxes for row in evaluation.detection if row.iou == 0.25}
     assert boxes == {
-        "all": 10, "full": 4, "half": 4, "open": 2, "unreached": 2, "all and unreached": 12
+        "all": 10, "full": 4, "half": 4, "open": 2, "unreached": 2, "everyone": 12
     }  # fmt: skip
     people = {row.group: row.people for row in evaluation.persons}
     assert people == {
-        "all": 5, "full": 2, "half": 2, "open": 1, "unreached": 1, "all and unreached": 6
+        "all": 5, "full": 2, "half": 2, "open": 1, "unreached": 1, "everyone": 6
     }  # fmt: skip
     for row in evaluation.persons:
         assert row.recall == 1.0
@@ -99,6 +99,19 @@ def test_false_finds_count_in_every_class_and_by_area() -> None:
     strict = evaluate_flights([perfect("x", PEOPLE, extra=2)], above_them)
     assert all(row.fp == 0 for row in strict.detection)
     assert all(row.false_alarms == 0 for row in strict.persons)
+
+
+def test_poor_finds_of_the_unreached_are_no_false_finds() -> None:
+    people = tuple(PEOPLE[2:])  # "d" is unreached
+    truth = truth_boxes(people, above())
+    left, top, right, _ = truth[1].xyxy
+    poor = [(left, top, right, top + 4.0, 9.0), (left, top + 4.0, right, top + 8.0, 8.0)]
+    view = JudgedView("p", detections([*poor, (*truth[0].xyxy, 7.0)]), truth)
+    evaluation = evaluate_flights([FlightResult("x", (view,), (), people, 0.5)])
+    for group in ("all", "open"):
+        row = evaluation.boxes(group, 0.5)
+        assert (row.tp, row.fp, row.fn, row.ap_all) == (1, 0, 0, 1.0)
+    assert evaluation.boxes("unreached", 0.5).fp == 2  # where they are asked for, they are poor
 
 
 def test_finds_of_another_class_are_ignored() -> None:
