@@ -34,6 +34,8 @@ ALLOWED = {
     "sweeping": BASE | {"photos", "masking", "kernels", "rendering", "viewing", "focusing"},
     "demo": BASE | {"formats"},
     "report": BASE | {"detect", "result", "sweeping"},
+    "evaluate": BASE
+    | {"detect", "result", "formats", "report", "viewing", "nav", "kernels", "photos", "pipeline"},
 }
 """What each part may import when it is loaded; parts not named here may import anything."""
 
