@@ -16,8 +16,8 @@ wp.set_module_options({"enable_backward": False})
 LINE = 64
 """Bytes of a cache line."""
 
-_LEAST_WEIGHT = 2.0**-30
-"""Least weight, as a share of the greatest, that the 16-bit form holds."""
+_LEAST_WEIGHT = 2.0**-25
+"""Least weight, as a share of the greatest, that 16 bits hold well."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,15 +27,16 @@ class Packed:
     Args:
         words: Warp array, uint32, all frames behind one another.
         form: What a pixel is; each part has 8, 16 or 32 bits:
-            "rgb8" one word, R, G, B and weight;
-            "rgb16" two words, R, G, B and weight;
+            "rgb8" one word, R, G, B and weight, which is 0 or 255;
+            "rgb16" two words, R, G, B times weight, and weight, as half floats;
             "grey16" one word, grey and weight;
             "grey32" one word, a float;
             "grey32 weighted" two words, a float and a float for its weight.
-            Weights of 16 bits are small floats: 5 bits of exponent, 11 of mantissa.
+            The weight of "grey16" is a small float: 5 bits of exponent, 11 of mantissa.
         row: Pixels from one row to the next.
         frame: Pixels from one frame to the next.
-        weight_unit: Weight of 1 as the gather decodes it.
+        weight_unit: What one step of the decoded weights counts.
+        white: What a decoded colour over its weight is to be multiplied by.
     """
 
     words: Any
@@ -43,6 +44,7 @@ class Packed:
     row: int
     frame: int
     weight_unit: float
+    white: float = 1.0
 
     @property
     def nbytes(self) -> int:
@@ -77,14 +79,21 @@ _WEIGHT_16 = """
 
 _PACK = {
     "rgb8": """
-        const unsigned weight = (unsigned)($share * weight_scale);
-        to[x + 1] = (unsigned)from[3 * x] | (unsigned)from[3 * x + 1] << 8
-            | (unsigned)from[3 * x + 2] << 16 | weight << 24;
+        const unsigned seen = $share > 0.0f ? ~0u : 0u;
+        to[x + 1] = seen & ((unsigned)from[3 * x] | (unsigned)from[3 * x + 1] << 8
+            | (unsigned)from[3 * x + 2] << 16 | 255u << 24);
 """,
-    "rgb16": _WEIGHT_16
-    + """
-        to[2 * x + 2] = (unsigned)from[3 * x] | (unsigned)from[3 * x + 1] << 16;
-        to[2 * x + 3] = (unsigned)from[3 * x + 2] | weight << 16;
+    "rgb16": """
+        const float share = $share * weight_scale;
+        const float dim = share * (sizeof(*from) == 1 ? 128.0f : 0.5f);
+        const _Float16 red = (_Float16)(dim * (float)from[3 * x]);
+        const _Float16 green = (_Float16)(dim * (float)from[3 * x + 1]);
+        const _Float16 blue = (_Float16)(dim * (float)from[3 * x + 2]);
+        const _Float16 weight = (_Float16)(share * 32768.0f);
+        to[2 * x + 2] = (unsigned)__builtin_bit_cast(unsigned short, red)
+            | (unsigned)__builtin_bit_cast(unsigned short, green) << 16;
+        to[2 * x + 3] = (unsigned)__builtin_bit_cast(unsigned short, blue)
+            | (unsigned)__builtin_bit_cast(unsigned short, weight) << 16;
 """,
     "grey16": _WEIGHT_16 + "        to[x + 1] = (unsigned)from[x] | weight << 16;\n",
     "grey32": "to[x + 1] = __builtin_bit_cast(unsigned, from[x]);",
@@ -157,7 +166,8 @@ def _pack_kernel(form: str, scalar: Any, weight: Any) -> Any:
 def pack(stack: Stack, weights: Any, weight_unit: float) -> Packed | None:
     """Pack photos and their weights; see `Packed`.
 
-    Nothing is rounded but float weights of photos of whole numbers: to 12 significant bits.
+    Nothing is rounded but weights that are more than a mask, of photos of whole numbers: they, or
+    for RGB their product with the colour, keep 11 or 12 significant bits.
 
     Args:
         stack: The photos, on the CPU.
@@ -166,11 +176,11 @@ def pack(stack: Stack, weights: Any, weight_unit: float) -> Packed | None:
 
     Returns:
         The packed photos; None where there is no form for them: float RGB photos, and float
-        weights that span more than nine decades.
+        weights that span more than seven decades.
     """
     weighted = weight_unit > 0.0
     weight = weights.dtype if weighted else None
-    form = _form(stack, weight)
+    form = _form(stack, weights if weighted else None)
     share = _weight_scale(form, weights, weight_unit) if form else None
     if form is None or share is None:
         return None
@@ -188,18 +198,26 @@ def pack(stack: Stack, weights: Any, weight_unit: float) -> Packed | None:
     ]
     kernel = _pack_kernel(form, stack.scalar, weight)
     launch(kernel, stack.count * (stack.height + 2), inputs, stack.device, ROW_GRAIN)
-    return Packed(words, form, row, frame, share[1])
+    white = {"rgb8": 255.0, "rgb16": 256.0 if stack.scalar is wp.uint8 else 65536.0}
+    return Packed(words, form, row, frame, share[1], white.get(form, 1.0))
 
 
-def _form(stack: Stack, weight: Any) -> str | None:
-    """Form for photos with weights of a type, which is None where all weights are 1."""
+def _form(stack: Stack, weights: Any) -> str | None:
+    """Form for photos with these weights; None where all weights are 1."""
     if stack.channels == 1:
         if stack.scalar is wp.float32:
-            return "grey32" if weight is None else "grey32 weighted"
+            return "grey32" if weights is None else "grey32 weighted"
         return "grey16"
     if stack.scalar is wp.float32:
         return None
-    return "rgb8" if stack.scalar is wp.uint8 and weight is not wp.float32 else "rgb16"
+    masked = weights is None or (weights.dtype is wp.uint8 and _is_mask(weights))
+    return "rgb8" if stack.scalar is wp.uint8 and masked else "rgb16"
+
+
+def _is_mask(weights: Any) -> bool:
+    """Whether bytes are only 0 and one other value, 1 or 255."""
+    rows = (weights[i].numpy() for i in range(weights.shape[0]))
+    return all(((row + np.uint8(1)) <= 2).all() for row in rows)
 
 
 def _row_stride(width: int, pixel: int) -> int:
@@ -213,15 +231,20 @@ def _row_stride(width: int, pixel: int) -> int:
 
 def _weight_scale(form: str, weights: Any, unit: float) -> tuple[float, float] | None:
     """Factor on stored weights as they are packed, and the unit of the result."""
-    if form == "rgb8":  # a mask of 0 and 1 has the unit 1, bytes have 1 / 255
-        return 255.0 * (unit or 1.0), 1.0 / 255.0
-    if unit == 0.0 or form == "grey32 weighted":
-        return 1.0, unit or 1.0
-    if weights.dtype is wp.uint8:  # whole numbers of 8 bits lie on the grid of the small floats
-        return 1.0 / 128.0, 128.0 * unit
+    if form == "rgb8":
+        return 1.0, 1.0 / 255.0
+    if form == "grey32 weighted":
+        return 1.0, unit
+    stored = 1.0 / 32768.0 if form == "rgb16" else 1.0
+    if unit == 0.0:
+        return 1.0, stored
+    if weights.dtype is wp.uint8:  # whole numbers of 8 bits are exact as small floats
+        return 1.0 / 256.0, 256.0 * unit * stored
     rows = [weights[i].numpy() for i in range(weights.shape[0])]
     top = max(float(row.max()) for row in rows)
     least = min(float(np.min(row, initial=np.inf, where=row != 0.0)) for row in rows)
     if top == 0.0:
-        return 1.0, unit
-    return (1.0 / top, top * unit) if np.isfinite(top) and least >= _LEAST_WEIGHT * top else None
+        return 1.0, stored
+    if not (np.isfinite(top) and least >= _LEAST_WEIGHT * top):
+        return None
+    return 1.0 / top, top * unit * stored

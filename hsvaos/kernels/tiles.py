@@ -18,6 +18,7 @@ from hsvaos.camera import Camera
 from hsvaos.kernels.arrays import pixel_view
 from hsvaos.kernels.device import launch
 from hsvaos.kernels.packing import Packed
+from hsvaos.kernels.tile_forms import FORMS, Form
 
 wp.set_module_options({"enable_backward": False})
 
@@ -29,6 +30,14 @@ _GRAIN = 8
 
 _TILE = Template("""{
     #pragma clang fp contract(fast)
+    typedef unsigned char u8x16 __attribute__((vector_size(16)));
+    typedef unsigned long long u64x2 __attribute__((vector_size(16)));
+    typedef unsigned long long u64x4 __attribute__((vector_size(32)));
+    typedef short i16x16 __attribute__((vector_size(32)));
+    typedef int i32x8 __attribute__((vector_size(32)));
+    typedef int i32x16 __attribute__((vector_size(64)));
+    typedef _Float16 f16x8 __attribute__((vector_size(16)));
+    typedef float f32x8 __attribute__((vector_size(32)));
     enum { SIDE = 16, SIZE = 256, CHUNK = 64 };
     const int tiles_x = (width + SIDE - 1) / SIDE;
     const int left = (tile % tiles_x) * SIDE, top = (tile / tiles_x) * SIDE;
@@ -65,9 +74,9 @@ _TILE = Template("""{
         pz[i] = live[i] > 0.0f ? pz[i] - middle[2] : 0.0f;
     }
 
+    alignas(64) int places[2 * SIZE];
     $declare
-    alignas(64) float total_w[SIZE];
-    for (int i = 0; i < SIZE; ++i) { $clear total_w[i] = 0.0f; }
+    for (int i = 0; i < SIZE; ++i) { $clear }
 
     const float* m = poses.data;
     for (int start = 0; seen > 0 && start < count; start += CHUNK) {
@@ -100,52 +109,60 @@ _TILE = Template("""{
             at_z[k] = z;
             state[k] = (least > -radius ? 1 : 0) + (least > radius ? 1 : 0);
         }
+        int seeing[CHUNK], views = 0;
         for (int k = 0; k < some; ++k) {
-            if (state[k] == 0) continue;
-            const float* f = m + start + k;
-            const float x0 = at_x[k], y0 = at_y[k], z0 = at_z[k];
-            const float m00 = f[0], m01 = f[count], m02 = f[2 * count];
-            const float m10 = f[3 * count], m11 = f[4 * count], m12 = f[5 * count];
-            const float m20 = f[6 * count], m21 = f[7 * count], m22 = f[8 * count];
-            const $word* frame = (const $word*)words.data
-                + (size_t)__builtin_bit_cast(int, f[12 * count]) * frame_stride;
-            $gains
-            if (state[k] == 2 && seen == SIZE && !distorted) {
-                #pragma clang loop vectorize(enable) vectorize_width(16)
-                for (int i = 0; i < SIZE; ++i) {
-                    $project
-                    const float near = 1.0f / z;
-                    const float u = x * near + 1.0f, v = y * near + 1.0f;
-                    $gather
-                }
-            } else if (!distorted) {
-                const float ax = middle[0] - f[9 * count], ay = middle[1] - f[10 * count];
-                #pragma clang loop vectorize(enable) vectorize_width(16)
-                for (int i = 0; i < SIZE; ++i) {
-                    $project
-                    const float near = 1.0f / z;
-                    float u = x * near, v = y * near;
-                    $test
-                    $gather
-                }
-            } else {
+            if (state[k] > 0) seeing[views++] = k;
+        }
+        // one frame ahead: its places are known, and on their way to the cache, when it is mixed
+        for (int turn = 0; turn <= views; ++turn) {
+            if (turn < views) {
+                const int k = seeing[turn], half = (turn & 1) * SIZE;
+                const float* f = m + start + k;
+                const float x0 = at_x[k], y0 = at_y[k], z0 = at_z[k];
+                const float m00 = f[0], m01 = f[count], m02 = f[2 * count];
+                const float m10 = f[3 * count], m11 = f[4 * count], m12 = f[5 * count];
+                const float m20 = f[6 * count], m21 = f[7 * count], m22 = f[8 * count];
                 const float ax = middle[0] - f[9 * count], ay = middle[1] - f[10 * count];
                 const float* l = sides.data + 9;
-                #pragma clang loop vectorize(enable) vectorize_width(16)
-                for (int i = 0; i < SIZE; ++i) {
-                    $project
-                    const float near = 1.0f / z;
-                    const float xn = x * near, yn = y * near;
-                    const float r2 = xn * xn + yn * yn;
-                    const float radial = 1.0f + r2 * (l[4] + r2 * (l[5] + r2 * l[8]));
-                    float u = l[0] * (xn * radial + 2.0f * l[6] * xn * yn
-                        + l[7] * (r2 + 2.0f * xn * xn)) + l[2];
-                    float v = l[1] * (yn * radial + l[6] * (r2 + 2.0f * yn * yn)
-                        + 2.0f * l[7] * xn * yn) + l[3];
-                    u = r2 <= l[9] ? u : -9.0f;
-                    $test
-                    $gather
+                if (state[k] == 2 && seen == SIZE && !distorted) {
+                    #pragma clang loop vectorize(enable) vectorize_width(16)
+                    for (int i = 0; i < SIZE; ++i) {
+                        $project
+                        const float u = x * near + 1.0f, v = y * near + 1.0f;
+                        const bool in = true;
+                        $place
+                    }
+                } else if (!distorted) {
+                    #pragma clang loop vectorize(enable) vectorize_width(16)
+                    for (int i = 0; i < SIZE; ++i) {
+                        $project
+                        float u = x * near, v = y * near;
+                        $test
+                        $place
+                    }
+                } else {
+                    #pragma clang loop vectorize(enable) vectorize_width(16)
+                    for (int i = 0; i < SIZE; ++i) {
+                        $project
+                        const float xn = x * near, yn = y * near;
+                        $distort
+                        $test
+                        $place
+                    }
                 }
+                const $word* frame = (const $word*)words.data
+                    + (size_t)__builtin_bit_cast(int, f[12 * count]) * frame_stride;
+                for (int i = 0; i < SIZE; i += 4) {
+                    __builtin_prefetch(frame + places[half + i]);
+                }
+            }
+            if (turn > 0) {
+                const int half = (turn - 1 & 1) * SIZE;
+                const float* f = m + start + seeing[turn - 1];
+                const $word* frame = (const $word*)words.data
+                    + (size_t)__builtin_bit_cast(int, f[12 * count]) * frame_stride;
+                $gains
+                $mix
             }
         }
     }
@@ -153,115 +170,73 @@ _TILE = Template("""{
         const int x = i % SIDE, y = i / SIDE;
         if (x >= columns || y >= rows) continue;
         const size_t pixel = (size_t)(top + y) * width + left + x;
-        const float share = total_w[i] > 0.0f ? total_w[i] : 1.0f;
-        footprint.data[pixel] = total_w[i] * weight_unit;
+        const float weight = $weight;
+        const float share = weight > 0.0f ? weight : 1.0f;
+        footprint.data[pixel] = weight * weight_unit;
         $store
     }
 }""")
 
 _PROJECT = """
-                    const float x = x0 + m00 * px[i] + m01 * py[i] + m02 * pz[i];
-                    const float y = y0 + m10 * px[i] + m11 * py[i] + m12 * pz[i];
-                    const float z = z0 + m20 * px[i] + m21 * py[i] + m22 * pz[i];
+                        const float x = x0 + m00 * px[i] + m01 * py[i] + m02 * pz[i];
+                        const float y = y0 + m10 * px[i] + m11 * py[i] + m12 * pz[i];
+                        const float z = z0 + m20 * px[i] + m21 * py[i] + m22 * pz[i];
+                        const float near = 1.0f / z;
+"""
+
+_DISTORT = """
+                        const float r2 = xn * xn + yn * yn;
+                        const float radial = 1.0f + r2 * (l[4] + r2 * (l[5] + r2 * l[8]));
+                        float u = l[0] * (xn * radial + 2.0f * l[6] * xn * yn
+                            + l[7] * (r2 + 2.0f * xn * xn)) + l[2];
+                        float v = l[1] * (yn * radial + l[6] * (r2 + 2.0f * yn * yn)
+                            + 2.0f * l[7] * xn * yn) + l[3];
+                        u = r2 <= l[9] ? u : -9.0f;
 """
 
 _TEST = """
-                    const float ex = ax + px[i], ey = ay + py[i];
-                    const bool in = (z > 0.0f) & (u >= -0.5f) & (v >= -0.5f) & (u <= right)
-                        & (v <= bottom) & (ex * ex + ey * ey <= reach * reach) & (live[i] > 0.0f);
-                    u = in ? u + 1.0f : 0.0f;
-                    v = in ? v + 1.0f : 0.0f;
+                        const float ex = ax + px[i], ey = ay + py[i];
+                        const bool in = (z > 0.0f) & (u >= -0.5f) & (v >= -0.5f) & (u <= right)
+                            & (v <= bottom) & (ex * ex + ey * ey <= reach * reach)
+                            & (live[i] > 0.0f);
+                        u = in ? u + 1.0f : 0.0f;
+                        v = in ? v + 1.0f : 0.0f;
 """
 
-_CORNERS = """
-                    const int ui = (int)u, vi = (int)v;
-                    const float fu = u - (float)ui, fv = v - (float)vi;
-                    const $word* at = frame + vi * row_stride + ui;
-                    $load
-                    const float right_low = fu * fv, right_top = fu - right_low;
-                    const float left_low = fv - right_low, left_top = 1.0f - fu - left_low;
-                    float wa = left_top * $weight_a, wb = right_top * $weight_b;
-                    float wc = left_low * $weight_c, wd = right_low * $weight_d;
-                    $mask
-                    const float share = wa + wb + wc + wd;
-                    total_w[i] += share;
+
+_PLACE = """
+                        const int ui = (int)u, vi = (int)v;
+                        const float fu = u - (float)ui, fv = v - (float)vi;
+                        places[half + i] = vi * row_stride + ui;
 """
 
-_PAIRS = """
-                    unsigned long long upper, lower;
-                    __builtin_memcpy(&upper, at, 8);
-                    __builtin_memcpy(&lower, at + row_stride, 8);
-                    const unsigned a = (unsigned)upper, b = (unsigned)(upper >> 32);
-                    const unsigned c = (unsigned)lower, d = (unsigned)(lower >> 32);
-"""
 
-_SINGLES = """
-                    const unsigned long long a = at[0], b = at[1];
-                    const unsigned long long c = at[row_stride], d = at[row_stride + 1];
-"""
-
-_SMALL_FLOAT = "(__builtin_bit_cast(float, (unsigned)($p >> $shift) << 12) * 0x1p96f)"
-
-_PAIR, _SINGLE = "unsigned", "unsigned long long"
-
-# word, load, weight of a corner, level of a channel of a corner, number of channels
-_FORMS: dict[str, tuple[str, str, str, str, int]] = {
-    "rgb8": (_PAIR, _PAIRS, "(float)(int)($p >> 24)", "(float)(int)($p >> $bit & 255u)", 3),
-    "rgb16": (
-        *(_SINGLE, _SINGLES, _SMALL_FLOAT.replace("$shift", "48")),
-        *("(float)(int)((unsigned)($p >> $bit) & 65535u)", 3),
-    ),
-    "grey16": (
-        *(_PAIR, _PAIRS, _SMALL_FLOAT.replace("$shift", "16")),
-        *("(float)(int)($p & 65535u)", 1),
-    ),
-    "grey32": (_PAIR, _PAIRS, "1.0f", "__builtin_bit_cast(float, $p)", 1),
-    "grey32 weighted": (
-        *(_SINGLE, _SINGLES, "__builtin_bit_cast(float, (unsigned)($p >> 32))"),
-        *("__builtin_bit_cast(float, (unsigned)$p)", 1),
-    ),
-}
-
-
-def _snippet(form: str) -> str:
+def _snippet(form: Form) -> str:
     """C of the tile gather for one form of packed photos."""
-    word, load, weight, level, channels = _FORMS[form]
-    bits = 16 if form == "rgb16" else 8
-
-    def corner(expression: str, p: str, channel: int = 0) -> str:
-        return Template(expression).substitute(p=p, bit=channel * bits)
-
-    pieces = {
-        "word": word,
-        "project": _PROJECT,
-        "test": _TEST,
-        "declare": "",
-        "clear": "",
-        "gains": "",
-        "store": "",
-    }
-    colour = ""
-    for c in range(channels):
-        pieces["declare"] += f"alignas(64) float total_{c}[SIZE];\n    "
-        pieces["clear"] += f"total_{c}[i] = 0.0f; "
-        pieces["gains"] += f"const float gain_{c} = f[{13 + c} * count];\n"
-        terms = " + ".join(f"w{p} * {corner(level, p, c)}" for p in "abcd")
-        colour += f"total_{c}[i] += gain_{c} * ({terms});\n"
-        pieces["store"] += f"image.data[pixel * {channels} + {c}] = total_{c}[i] / share;\n"
-    corners = Template(_CORNERS)
-    names = {f"weight_{p}": corner(weight, p) for p in "abcd"}
-
-    def gather(mask: str) -> str:
-        return corners.substitute(word=word, load=load, mask=mask, **names) + colour
-
-    dimmed = "wa = in ? wa : 0.0f; wb = in ? wb : 0.0f; wc = in ? wc : 0.0f; wd = in ? wd : 0.0f;"
-    text = _TILE.template.replace("$gather", gather(""), 1).replace("$gather", gather(dimmed))
-    return Template(text).substitute(pieces)
+    channels = range(form.channels)
+    gains = "".join(f"const float gain_{c} = f[{13 + c} * count];\n" for c in channels)
+    store = "".join(
+        f"image.data[pixel * {form.channels} + {c}] = {form.sums[c]} * white / share;\n"
+        for c in channels
+    )
+    return _TILE.substitute(
+        word=form.word,
+        declare=form.declare,
+        clear=form.clear,
+        gains=gains,
+        project=_PROJECT,
+        test=_TEST,
+        distort=_DISTORT,
+        place=_PLACE + form.place,
+        mix=form.mix,
+        weight=form.sums[-1],
+        store=store,
+    )
 
 
 @lru_cache
 def _tile_kernel(form: str) -> Any:
-    @wp.func_native(_snippet(form))
+    @wp.func_native(_snippet(FORMS[form]))
     def gather_tile(
         tile: int,
         width: int,
@@ -277,6 +252,7 @@ def _tile_kernel(form: str) -> Any:
         row_stride: int,
         frame_stride: int,
         weight_unit: float,
+        white: float,
         words: wp.array(dtype=wp.uint32),
         image: wp.array(dtype=float),
         footprint: wp.array(dtype=float),
@@ -299,6 +275,7 @@ def _tile_kernel(form: str) -> Any:
         row_stride: int,
         frame_stride: int,
         weight_unit: float,
+        white: float,
         words: wp.array(dtype=wp.uint32),
         image: wp.array(dtype=float),
         footprint: wp.array(dtype=float),
@@ -318,6 +295,7 @@ def _tile_kernel(form: str) -> Any:
             row_stride,
             frame_stride,
             weight_unit,
+            white,
             words,
             image,
             footprint,
@@ -368,7 +346,8 @@ def gather_tiles(
         wp.array(rows.ravel(), dtype=float, device="cpu"),
         wp.array(_sides(camera), dtype=float, device="cpu"),
         *(int(camera.has_distortion), camera.width - 0.5, camera.height - 0.5, reach),
-        *(packed.row, packed.frame, packed.weight_unit, packed.words),
+        *(packed.row, packed.frame, packed.weight_unit * FORMS[packed.form].unit, packed.white),
+        packed.words,
         *(pixel_view(x, wp.float32, (x.size,)) for x in (image, footprint)),
     ]
     launch(_tile_kernel(packed.form), tiles, inputs, wp.get_device("cpu"), _GRAIN)

@@ -25,7 +25,7 @@ def plain(integrator: Integrator) -> Integrator:
 
 
 KINDS = {
-    "rgb8": ("uint8", True, "uint8"),
+    "rgb8": ("uint8", True, "mask"),
     "rgb16": ("uint16", True, "float32"),
     "grey16": ("uint8", False, "float32"),
     "grey32": ("float32", False, None),
@@ -44,6 +44,8 @@ def test_tiles_equal_the_plain_kernel(seed: int, kind: str) -> None:
     weights = None
     if weight is not None:
         weights = rng.integers(0, 256, (count, height, width), dtype=np.uint8)
+        if weight == "mask":
+            weights = (weights > 99) * np.uint8(255)
         if weight == "float32":
             weights = (weights / 50.0).astype(np.float32)
     poses = np.stack([random_pose(rng, reach=20.0) for _ in range(count)])
