@@ -59,6 +59,18 @@ FrameMask = Annotated[
 Format = Annotated[str | None, typer.Option(help="native, jku, dji or photos; guessed if absent.")]
 MaskOption = Annotated[Mask | None, typer.Option(help="How pixels are weighed. [default: hue]")]
 Sigmas = Annotated[float | None, typer.Option(help="Half width of the hue cut. [default: 2]")]
+FocusDown = Annotated[
+    float | None, typer.Option(metavar="M", help="Down of a horizontal focal plane.")
+]
+Terrain = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Focal terrain: GeoTIFF, .obj or .npz.")
+]
+Autofocus = Annotated[
+    bool, typer.Option("--autofocus", help="Search the plane where rare things are sharp.")
+]
+Aperture = Annotated[
+    float | None, typer.Option(metavar="M", help="Radius of the synthetic aperture.")
+]
 Scale = Annotated[
     float | None, typer.Option(help="Shrink photos by this factor while decoding. [default: 1]")
 ]
@@ -103,15 +115,9 @@ def run(
     frame_mask: FrameMask = None,
     mask: MaskOption = None,
     sigmas: Sigmas = None,
-    focus_down: Annotated[
-        float | None, typer.Option(metavar="M", help="Down of a horizontal focal plane.")
-    ] = None,
-    terrain: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Focal terrain: GeoTIFF, .obj or .npz.")
-    ] = None,
-    autofocus: Annotated[
-        bool, typer.Option("--autofocus", help="Search the plane where rare things are sharp.")
-    ] = False,
+    focus_down: FocusDown = None,
+    terrain: Terrain = None,
+    autofocus: Autofocus = False,
     view: Annotated[
         str | None,
         typer.Option(metavar="FRAME|all|ortho", help="Virtual camera. [default: centre frame]"),
@@ -119,9 +125,7 @@ def run(
     gsd: Annotated[
         float | None, typer.Option(metavar="M", help="Metres a pixel of the ground grid.")
     ] = None,
-    aperture: Annotated[
-        float | None, typer.Option(metavar="M", help="Radius of the synthetic aperture.")
-    ] = None,
+    aperture: Aperture = None,
     scale: Scale = None,
     no_detect: Annotated[
         bool, typer.Option("--no-detect", help="Only make pictures, look for nobody.")
@@ -201,6 +205,68 @@ def sweep(
     console.notes(stack.notes)
     typer.echo(stack.summary())
     typer.echo(f"look at {out / 'sweep.html'}")
+
+
+@app.command()
+def evaluate(
+    flights: Annotated[
+        list[Path], typer.Argument(metavar="FLIGHT...", help="Folders with truth.json.")
+    ],
+    out: Out,
+    poses: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE|nav",
+            help="Poses or a trajectory to use instead, a file in each flight's folder; nav: "
+            "those of the flight's sensor log.",
+        ),
+    ] = None,
+    mask: MaskOption = None,
+    sigmas: Sigmas = None,
+    focus_down: FocusDown = None,
+    terrain: Terrain = None,
+    autofocus: Autofocus = False,
+    aperture: Aperture = None,
+    scale: Scale = None,
+    score_threshold: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="Score from which a find counts. [default: the detector's]"),
+    ] = None,
+    iou: Annotated[
+        list[float] | None,
+        typer.Option(help="Least overlap; repeatable. [default: 0.10, 0.25 and 0.50]"),
+    ] = None,
+    radius: Annotated[
+        float, typer.Option(metavar="M", help="Greatest distance of a person found to the true.")
+    ] = 2.0,
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="Run flights again whose results are there already.")
+    ] = False,
+    settings: SettingsFile = None,
+    device: Device = "cpu",
+    as_json: Json = False,
+) -> None:
+    """Say how good the finds are on simulated flights: average precision, persons, false alarms."""
+    from hsvaos.console import Console
+    from hsvaos.evaluate.command import Work, evaluate_paths
+    from hsvaos.evaluate.measures import Rules
+
+    chosen = _settings(
+        settings,
+        focus={
+            "down_m": focus_down,
+            "terrain": None if terrain is None else str(terrain),
+            "autofocus": autofocus or None,
+        },
+        mask={"method": None if mask is None else mask.value, "sigmas": sigmas},
+        view={"aperture_m": aperture},
+        photos={"scale": scale},
+    )
+    rules = Rules(ious=tuple(iou) if iou else Rules().ious, score=score_threshold, radius_m=radius)
+    work = Work(tuple(flights), out, chosen, rules, poses, device, fresh)
+    outcome = evaluate_paths(work, Console(quiet=as_json))
+    if as_json:
+        typer.echo(json.dumps(outcome))
 
 
 @app.command()
