@@ -87,6 +87,8 @@ def evaluate_paths(work: Work, console: Console) -> dict[str, Any]:
         FlightError: If a flight, its truth or the folder cannot be used.
         ValueError: If a setting makes no sense.
     """
+    if not work.settings.detect.enabled:
+        raise ValueError("detect.enabled must be true to evaluate finds, got False")
     if work.rules.score is not None:
         work = replace(work, settings=with_score(work.settings, work.rules.score))
     rules = replace(work.rules, score=operating_score(work.settings))
@@ -147,25 +149,29 @@ def _job(path: Path, name: str, work: Work) -> _Job:
         terrain = own_file(path, Path(settings.focus.terrain), alone, "terrain")
         settings = settings.with_focus({"terrain": str(terrain)})
         files.append(terrain)
-    own_poses = open_flight(path)  # say who is reached
     choices = {
         "settings": settings.to_toml(),
         "device": work.device,
-        "poses": [f.world_from_camera for f in flight.frames],
-        "own poses": [f.world_from_camera for f in own_poses.frames],
+        "poses": _listed(flight),
+        "own poses": _listed(open_flight(path)),  # they say who is reached
     }
     file = work.out / "flights" / f"{name.replace('/', '_')}.json"
     digest = fingerprint(flight, files, choices)
     return _Job(name, path, flight, settings, file, digest)
 
 
+def _listed(flight: Flight) -> list[Any]:
+    poses = (frame.world_from_camera for frame in flight.frames)
+    return [None if pose is None else pose.tolist() for pose in poses]
+
+
 def _names(paths: Sequence[Path]) -> list[str]:
     """Return names for flights: of their folders, with those above where needed to differ."""
-    folders = [path.resolve() if path.is_dir() else path.resolve().parent for path in paths]
+    folders = [path.resolve().parent if path.is_file() else path.resolve() for path in paths]
     twice = [str(path) for path, f in zip(paths, folders, strict=True) if folders.count(f) > 1]
     if twice:
         raise FlightError(f"each flight must be given once, got {' and '.join(twice)}")
-    names = [folder.name for folder in folders]
+    names = [folder.name or "flight" for folder in folders]
     depth = 1
     while len({name.replace("/", "_") for name in names}) < len(names):
         depth += 1

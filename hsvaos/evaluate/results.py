@@ -139,7 +139,10 @@ class FlightResult:
                 )
                 for p in content["people"]
             )
-            persons = tuple(Person(**person) for person in content["persons"])
+            persons = tuple(
+                Person(**{name: _as_tuple(value) for name, value in person.items()})
+                for person in content["persons"]
+            )
             views = tuple(
                 JudgedView(
                     view["frame"],
@@ -161,7 +164,7 @@ class FlightResult:
 
     def to_json(self) -> str:
         """Return it as JSON."""
-        return json.dumps(self.to_dict(), ensure_ascii=False, allow_nan=False) + "\n"
+        return json.dumps(self.to_dict(), ensure_ascii=False) + "\n"
 
     @classmethod
     def from_json(cls, text: str) -> FlightResult:
@@ -174,3 +177,8 @@ class FlightResult:
         if not isinstance(content, dict):
             raise ValueError(f"expected a flight result, got {text:.40}")
         return cls.from_dict(content)
+
+
+def _as_tuple(value: Any) -> Any:
+    """Return lists of JSON as the tuples they were."""
+    return tuple(map(_as_tuple, value)) if isinstance(value, list) else value

@@ -46,7 +46,7 @@ def fingerprint(flight: Flight, files: Iterable[Path], choices: dict[str, Any]) 
         choices: Settings and the like, as JSON types.
     """
     digest = hashlib.sha256(f"{_FORMAT} {_code()}\n".encode())
-    digest.update(json.dumps(choices, sort_keys=True, default=str).encode())
+    digest.update(json.dumps(choices, sort_keys=True).encode())
     photos = [frame.path for frame in flight.frames]
     masks = {frame.mask for frame in flight.frames} | {flight.mask, flight.terrain}
     logs = [Path(value) for value in flight.sensors.values() if isinstance(value, str | Path)]
@@ -91,7 +91,7 @@ def save(path: Path, stored: Stored) -> None:
         "notes": list(stored.notes),
         "result": stored.result.to_dict(),
     }
-    text = json.dumps(content, ensure_ascii=False, allow_nan=False) + "\n"
+    text = json.dumps(content, ensure_ascii=False) + "\n"
     write_bytes(path, text.encode("utf-8"))
 
 

@@ -17,12 +17,17 @@ import pytest
 
 import hsvaos
 from hsvaos.__main__ import main
+from hsvaos.camera import Camera
 from hsvaos.demo import FOLDER
 from hsvaos.evaluate.measures import Evaluation
 from hsvaos.evaluate.operating import persons_from, widened
 from hsvaos.evaluate.results import FlightResult
 from hsvaos.evaluate.truth import read_truth
 from hsvaos.kernels import device
+from hsvaos.simulate.forest import ForestSettings
+from hsvaos.simulate.mission import Mission
+from hsvaos.simulate.record import simulate_flight
+from hsvaos.simulate.settings import SimulationSettings
 
 Fails = Callable[..., str]
 
@@ -151,6 +156,11 @@ def test_faults_are_named_before_the_work(
     assert not list((out / "flights").iterdir())
     assert "given once" in fails(flights[0], flights[0], "-o", out)
     assert "no such folder" in fails(tmp_path / "nothing", "-o", out)
+    missing = fails(tmp_path / "no", tmp_path / "nor", "-o", out)
+    assert "no such folder" in missing
+    off = tmp_path / "off.toml"
+    off.write_text("[detect]\nenabled = false\n")
+    assert "detect.enabled must be true" in fails(flights[0], "-o", out, "--settings", off)
     assert "given as poses" in fails(*flights, "-o", out, "--poses", "nothing.csv")
     assert "given as terrain" in fails(*flights, "-o", out, "--terrain", "nothing.npz")
     assert "ious must be above 0" in fails(flights[0], "-o", out, "--iou", "0")
@@ -189,3 +199,27 @@ def test_ctrl_c_keeps_finished_flights(flights: list[Path], tmp_path: Path) -> N
     assert sorted(p.name for p in (out / "flights").iterdir()) == ["a.json", "b.json"]
     done = cli(*flights, third, "-o", out, "--mask", "rarity", "--json")
     assert [flight["kept"] for flight in json.loads(done.stdout)["flights"]] == [True, True, False]
+
+
+@pytest.mark.slow
+def test_simulated_flight_with_poses_of_its_log(tmp_path: Path) -> None:
+    flight, out = tmp_path / "flight", tmp_path / "out"
+    settings = SimulationSettings(
+        forest=ForestSettings(seed=5, density=260.0, leaf_density=0.5),
+        mission=Mission(photos=12),
+        camera=Camera.from_fov(256, 256, 64.0),
+        people=3,
+        classes=("half", "open", "full"),
+    )
+    simulate_flight(settings, flight)
+    found = {}
+    for poses in (None, "poses_ekf.csv", "nav"):
+        given = () if poses is None else ("--poses", poses)
+        done = cli(flight / "flight.toml", "-o", out, "--mask", "rarity", "--json", *given)
+        assert done.returncode == 0, done.stderr
+        evaluation = json.loads(done.stdout)["evaluation"]
+        assert evaluation["flights"][0]["views"] == 12
+        found[poses] = evaluation["persons"][-1]
+    # people belong to their groups by the true poses, whatever poses are tried
+    assert found[None]["people"] == found["nav"]["people"] == 3
+    assert max(row["found"] for row in found.values()) >= 1

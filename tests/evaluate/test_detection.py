@@ -36,6 +36,16 @@ def test_average_precision_is_that_of_pycocotools(made: list[View], iou: float, 
         assert got == pytest.approx(want, abs=1e-6)
 
 
+@given(made=views())
+def test_only_the_order_of_scores_matters(made: list[View]) -> None:
+    # a network's probabilities, local z, anything
+    wide = [v._replace(scores=np.arctan(v.scores) * 1e-3 - 7.0) for v in made]
+    one, other = matched(made, 0.25).curve(), matched(wide, 0.25).curve()
+    assert one.hit.tolist() == other.hit.tolist()
+    for form in ("ap_coco101", "ap_voc11", "ap_all"):
+        assert getattr(one, form) == getattr(other, form)
+
+
 def test_the_three_forms_by_hand() -> None:
     # hits at ranks 1 and 3 of four true boxes: recall .25 at precision 1, .5 at 2/3
     matches = Matches(
