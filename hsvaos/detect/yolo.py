@@ -206,7 +206,9 @@ class Detector:
 
     def _run(self, tiles: list[Tile]) -> tuple[Array, Array]:
         """Boxes in pixels of the input and scores, of each tile."""
-        batch = np.stack([tile.planes for tile in tiles])
+        batch = (
+            np.stack([tile.planes for tile in tiles]) if len(tiles) > 1 else tiles[0].planes[None]
+        )
         missing = (self._network.picture.shape[0] or len(tiles)) - len(tiles)
         if missing > 0:
             batch = np.concatenate([batch, np.zeros((missing, *batch.shape[1:]), np.float32)])
