@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hsvaos.detect.command import detect
 from hsvaos.nav.command import nav
 from hsvaos.simulate.command import simulate
 
@@ -26,6 +27,7 @@ app = typer.Typer(
 )
 
 
+app.command()(detect)
 app.command()(nav)
 app.command()(simulate)
 

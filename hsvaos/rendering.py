@@ -108,14 +108,16 @@ class Renderer:
             found = self.finder(layers, sampling_distance(view, hits))
         places = box_places(found, hits, view)
         others = self._others(view) if extra else {}
-        result = ViewResult(
-            name, view, image, footprint, mean_weight[..., 0], rays, found, others
-        )
+        result = ViewResult(name, view, image, footprint, mean_weight[..., 0], rays, found, others)
         return result, ViewFinds(view, found, *places)
 
     def _needed(self) -> tuple[str, ...]:
         looked_at = self.finder.layers if self.finder is not None else ()
-        return ("rarity_map", "chosen", *(n for n in looked_at if n not in ("rarity_map", "chosen")))
+        return (
+            "rarity_map",
+            "chosen",
+            *(n for n in looked_at if n not in ("rarity_map", "chosen")),
+        )
 
     def _layers(
         self, view: VirtualCamera, hits: NDArray[np.float32], *, exactly: bool

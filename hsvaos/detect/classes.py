@@ -74,7 +74,7 @@ def person_classes(
             listed = ", ".join(list(names.values())[:8])
             raise ValueError(
                 f"{where}: no class is a person; expected one of {', '.join(sorted(PERSON_NAMES))} "
-                f"among {listed}{', ...' if len(names) > 8 else ''} (or say person_class=)"
+                f"among {listed}{', ...' if len(names) > 8 else ''} (or name one as person_class)"
             )
         return people
     if count == 1:
@@ -84,7 +84,7 @@ def person_classes(
     if count is None:
         return (0,)
     raise ValueError(
-        f"{where}: {count} classes without names; say which is the person: person_class=NUMBER"
+        f"{where}: {count} classes without names; say which number is the person_class"
     )
 
 

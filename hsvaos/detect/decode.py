@@ -84,8 +84,7 @@ def yolov4(outputs: Mapping[str, Array], size: tuple[int, int], people: tuple[in
 
 def rfdetr(outputs: Mapping[str, Array], size: tuple[int, int], people: tuple[int, ...]) -> Decoded:
     """Decode RF-DETR's dets (B, N, 4), centre and size as shares, and labels, logits."""
-    with np.errstate(over="ignore"):
-        scores = 1.0 / (1.0 + np.exp(-outputs["labels"]))
+    scores = 1.0 / (1.0 + np.exp(-outputs["labels"]))
     return from_centres(outputs["dets"]) * _sides(size), _best(scores, people)
 
 

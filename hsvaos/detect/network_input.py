@@ -93,7 +93,10 @@ def _picture(values: Any, name: str) -> tuple[NDArray[np.float32], NDArray[np.bo
         raise ValueError(
             f"{name} must have shape (H, W, 3) or (H, W), got {np.asarray(values).shape}"
         )
-    seen = np.asarray(np.isfinite(picture).all(axis=2))
+    finite = np.isfinite(picture)
+    if finite.all():
+        return picture, np.ones(picture.shape[:2], dtype=np.bool_)
+    seen = np.asarray(finite.all(axis=2))
     kept = np.where(seen[..., None], picture, np.float32(0.0))
     return np.asarray(kept, dtype=np.float32), seen
 
@@ -109,30 +112,56 @@ def _fitting(values: Any, size: tuple[int, ...], name: str) -> NDArray[np.float3
 
 def _contrast(picture: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Return the local contrast of (H, W, C) as (C, H, W), or of grey as (1, H, W)."""
+    channels = picture.shape[2]
+    out = np.zeros((channels, *picture.shape[:2]), dtype=np.float32)
     if not seen.any():
-        return np.zeros((picture.shape[2], *picture.shape[:2]), dtype=np.float32)
+        return out
     known = seen.astype(np.float32)
+    whole = bool(seen.all())
     # a shift of the origin keeps the sums of squares exact
-    offset = picture[seen].mean(axis=0)
-    values = (picture - offset) * known[..., None]
-    share = np.maximum(_mean(known), 1e-6)
+    offset = np.array(cv2.mean(picture, seen.view(np.uint8))[:channels], dtype=np.float32)
+    # channel by channel and in place: sums over the last axis would cost most of the time
+    values = [picture[..., k] - offset[k] for k in range(channels)]
+    if not whole:
+        for value in values:
+            value *= known
+    share = np.float32(1.0) / np.maximum(_mean(known), np.float32(1e-6))
 
-    def moments(part: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        centre = np.asarray(_mean(part) / share[..., None], dtype=np.float32)
-        square = _mean(np.square(part).sum(axis=2)) / share
-        variance = (square - np.square(centre).sum(axis=2)) / part.shape[2]
-        return centre, np.sqrt(np.maximum(variance, 0.0), dtype=np.float32)
+    def moments(
+        parts: list[NDArray[np.float32]],
+    ) -> tuple[list[NDArray[np.float32]], NDArray[np.float32]]:
+        centres = [_mean(part) for part in parts]
+        for centre in centres:
+            centre *= share
+        total = np.zeros_like(known)
+        for part in parts:
+            total += part * part
+        variance = _mean(total)
+        variance *= share
+        for centre in centres:
+            variance -= centre * centre
+        variance /= np.float32(channels)
+        np.maximum(variance, np.float32(0.0), out=variance)
+        return centres, np.sqrt(variance, out=variance)
 
-    centre, deviation = moments(values)
+    centres, deviation = moments(values)
     for _ in range(_CLIPPINGS):
-        reach = (_CLIP * deviation)[..., None]
-        clipped = np.clip(values, centre - reach, centre + reach) * known[..., None]
-        centre, deviation = moments(clipped)
-    typical = float(np.median(deviation[seen]))
+        reach = np.float32(_CLIP) * deviation
+        clipped = []
+        for value, centre in zip(values, centres, strict=True):
+            part = np.minimum(value, centre + reach)
+            np.maximum(part, centre - reach, out=part)
+            clipped.append(part if whole else part * known)
+        centres, deviation = moments(clipped)
+    typical = float(np.median(deviation if whole else deviation[seen]))
     least = max(_LEAST_DEVIATION * typical, 1e-6 * float(np.abs(offset).max()), 1e-12)
-    z = (values - centre) / np.maximum(deviation, least)[..., None]
-    z = np.clip(z, -_LIMIT, _LIMIT) * (known[..., None] * np.float32(_UNIT))
-    return np.ascontiguousarray(np.moveaxis(z, 2, 0), dtype=np.float32)
+    scale = np.float32(1.0) / np.maximum(deviation, np.float32(least))
+    for k, (value, centre) in enumerate(zip(values, centres, strict=True)):
+        z = np.subtract(value, centre, out=out[k])
+        z *= scale
+        np.clip(z, -_LIMIT, _LIMIT, out=z)
+        z *= known * np.float32(_UNIT)
+    return out
 
 
 def _mean(part: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -205,7 +205,9 @@ def _known(array: Array) -> NDArray[np.bool_]:
     if not np.issubdtype(array.dtype, np.floating):
         return np.ones(array.shape[:2], bool)
     finite = np.isfinite(array)
-    return np.asarray(finite if array.ndim == 2 else finite.all(axis=2))
+    if array.ndim == 2 or finite.all():  # over the last axis alone it would take ten times as long
+        return finite if array.ndim == 2 else np.ones(array.shape[:2], bool)
+    return np.asarray(finite.all(axis=2))
 
 
 def _picture(image: ArrayLike, name: str) -> Array:

@@ -206,7 +206,9 @@ class Detector:
 
     def _run(self, tiles: list[Tile]) -> tuple[Array, Array]:
         """Boxes in pixels of the input and scores, of each tile."""
-        batch = np.stack([tile.planes for tile in tiles])
+        batch = (
+            np.stack([tile.planes for tile in tiles]) if len(tiles) > 1 else tiles[0].planes[None]
+        )
         missing = (self._network.picture.shape[0] or len(tiles)) - len(tiles)
         if missing > 0:
             batch = np.concatenate([batch, np.zeros((missing, *batch.shape[1:]), np.float32)])
@@ -214,7 +216,9 @@ class Detector:
         feeds = {self._network.picture.name: batch}
         if self.layout == "dfine":
             feeds["orig_target_sizes"] = np.array([[size[1], size[0]]] * len(batch), np.int64)
-        boxes, scores = self._layout.decode(self._network.run(feeds), size, self.people)
+        outputs = self._network.run(feeds)
+        with np.errstate(over="ignore", invalid="ignore"):  # such boxes are dropped later
+            boxes, scores = self._layout.decode(outputs, size, self.people)
         if len(boxes) < len(tiles) or boxes.shape[:2] != scores.shape:
             raise ValueError(
                 f"{self._network.name}: expected boxes and scores of {len(batch)} pictures, got "

@@ -274,7 +274,7 @@ def test_wrong_options(options: dict[str, object], error: type[Exception], messa
         ({"names": "{1: 'a', 2: 'b', 3: 'person'}"}, r"numbers 1 to 3\), its output has 3"),
         ({"names": "['car', 'bus', 'dog']"}, "no class is a person"),
         ({"task": "segment"}, "expected a detection network, got one for 'segment'"),
-        ({}, "3 classes without names; say which is the person"),
+        ({}, "3 classes without names; say which number is the person_class"),
     ],
 )
 def test_wrong_metadata(metadata: dict[str, str], message: str) -> None:
