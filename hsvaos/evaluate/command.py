@@ -20,6 +20,7 @@ from hsvaos.evaluate.results import FlightResult
 from hsvaos.evaluate.store import Stored, fingerprint, load, save
 from hsvaos.evaluate.tables import cell, evaluation_csv, markdown_report
 from hsvaos.evaluate.truth import read_people, read_truth, truth_file
+from hsvaos.finding import operating_score
 from hsvaos.flight import Flight, FlightError
 from hsvaos.formats.open import open_flight
 from hsvaos.photos import with_poses
