@@ -2,6 +2,7 @@
 
     python bench/paper_flights.py FLIGHTS          simulates the flights (see there)
     python bench/paper.py run FLIGHTS RESULTS      one JSON a flight and method; resumable
+    python bench/paper.py poses FLIGHTS RESULTS    errors of the poses against the truth
     python bench/paper.py table RESULTS            bench/PAPER.md and its figures from what is there
 
 Every fourth stored pose is a virtual camera, drawn at 5 cm a pixel, the sampling at which the
@@ -12,6 +13,7 @@ evidence.
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -41,7 +43,15 @@ from hsvaos.photos import Photos, load_photos
 from hsvaos.settings import DetectSettings, Settings, ViewSettings
 from hsvaos.surface import FocalPlane
 
+try:
+    from paper_flights import FIRST_SEED  # run as a script
+except ImportError:
+    from bench.paper_flights import FIRST_SEED
+
 STRIDE = 4
+ABLATION_SEEDS = 3
+"""Seeds on which the parts are taken away one by one, with true poses."""
+
 GSD_M = 0.05
 FLOOR = 0.02
 """Least score of a box: precision-recall curves need the weak ones too."""
@@ -57,11 +67,13 @@ class Method:
         find: Called with the layers of a view; returns boxes down to weak ones.
         score: Score from which a box is reported.
         tracks: Poses with which it is tried.
+        everywhere: Whether on all seeds, or only on those of the ablation.
     """
 
     find: Callable[[Layers], Detections]
     score: float
     tracks: tuple[str, ...] = ("true",)
+    everywhere: bool = False
 
 
 def methods() -> dict[str, Method]:
@@ -91,9 +103,9 @@ def methods() -> dict[str, Method]:
 
     both = ("true", "ekf")
     return {
-        "AOS": Method(image("plain"), score, both),
-        "HSV-AOS": Method(image("hue"), score, both),
-        "hsvaos": Method(everything(), score, both),
+        "AOS": Method(image("plain"), score, both, True),
+        "HSV-AOS": Method(image("hue"), score, both, True),
+        "hsvaos": Method(everything(), score, both, True),
         "hue, not brightened": Method(image("hue_dark"), score),
         "rarity image": Method(image("rarity"), score),
         "rarity x hue image": Method(image("rarity_hue"), score),
@@ -104,7 +116,7 @@ def methods() -> dict[str, Method]:
     }
 
 
-def integrators(photos: Photos, track: str) -> dict[str, Integrator]:
+def integrators(photos: Photos, ablation: bool) -> dict[str, Integrator]:
     """Return the integrators of a flight, by layer."""
     settings = Settings().with_values(mask={"statistics": "linear"}, detect={"method": "anomaly"})
     masks = make_masks(photos, settings)
@@ -119,7 +131,7 @@ def integrators(photos: Photos, track: str) -> dict[str, Integrator]:
         "rarity": weighed(photos.images, masks.rarity, masks.gains),
         "rarity_map": weighed(masks.rarity, photos.valid),
     }
-    if track == "true":
+    if ablation:
         product = masks.rarity.numpy() * (masks.hue.numpy() > 0)
         found |= {
             "hue_dark": weighed(photos.images, masks.hue, masks.gains),
@@ -145,7 +157,9 @@ def measure(
     if grid is None:
         raise RuntimeError(f"{folder}: no ground grid can stand for the views")
     layers: dict[str, Layer] = {}
-    for name, integrator in integrators(photos, track).items():
+    for name, integrator in integrators(
+        photos, any(not m.everywhere for m in use.values())
+    ).items():
         image, footprint = integrator.integrate(grid, surface)
         layers[name] = (np.asarray(image.numpy()), np.asarray(footprint.numpy()))
     ground = GroundMap(grid, layers)
@@ -202,12 +216,15 @@ def run(flights: Path, results: Path, part: int, parts: int) -> None:
     known = methods()
     folders = sorted(p for p in flights.iterdir() if (p / "truth.json").exists())
     folders.sort(key=lambda p: p.name.rsplit("_", 1)[::-1])  # seed by seed, all forests
+    first = [f"_{seed}" for seed in range(FIRST_SEED, FIRST_SEED + ABLATION_SEEDS)]
     for folder in folders[part::parts]:
         for track in ("true", "ekf"):
             wanted = {
                 name: method
                 for name, method in known.items()
-                if track in method.tracks and not _file(results, folder.name, track, name).exists()
+                if track in method.tracks
+                and (method.everywhere or folder.name.endswith(tuple(first)))
+                and not _file(results, folder.name, track, name).exists()
             }
             if not wanted:
                 continue
@@ -224,6 +241,42 @@ def _file(results: Path, flight: str, track: str, method: str) -> Path:
     return results / f"{flight}.{track}.{method.replace(' ', '_').replace(',', '')}.json"
 
 
+def pose_errors(flights: Path, results: Path) -> None:
+    """Write root-mean-square errors over all flights: horizontal, down [m]; roll, pitch, yaw [deg]."""
+    tracks: dict[str, list[np.ndarray]] = {}
+    for folder in sorted(p for p in flights.iterdir() if (p / "poses_ekf.csv").exists()):
+        flight = hsvaos.open_flight(folder)
+        times = np.array([frame.t_s for frame in flight.frames])
+        paper = hsvaos.estimate_trajectory(flight, filter="paper").world_from_camera(times)
+        for name, poses in (
+            ("error-state filter and smoother (poses_ekf.csv)", posed(flight, folder, "ekf").poses),
+            ("the paper's filter", paper),
+        ):
+            tracks.setdefault(name, []).append(_errors(poses, flight.poses))
+    figures = {}
+    for name, parts in tracks.items():
+        square = np.mean(np.concatenate(parts) ** 2, axis=0)
+        figures[name] = [float(v) for v in np.sqrt([square[0] + square[1], *square[2:]])]
+    (results / "poses.txt").write_text(json.dumps(figures, indent=1))
+    print(json.dumps(figures, indent=1))
+
+
+def _errors(have: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """Return errors of poses, shape (N, 6): north, east, down [m]; roll, pitch, yaw [deg]."""
+    place = have[:, :3, 3] - true[:, :3, 3]
+    turn = np.swapaxes(true[:, :3, :3], 1, 2) @ have[:, :3, :3]  # camera axes: x right, y back
+    angles = np.degrees(
+        np.stack(
+            [
+                0.5 * (turn[:, 1, 0] - turn[:, 0, 1]),  # about the view: yaw
+                0.5 * (turn[:, 2, 1] - turn[:, 1, 2]),  # about the right: pitch
+                0.5 * (turn[:, 0, 2] - turn[:, 2, 0]),  # about the back: roll
+            ]
+        )
+    )
+    return np.concatenate([place, angles[[2, 1, 0]].T], axis=1)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
@@ -232,12 +285,17 @@ def main() -> int:
     running.add_argument("results", type=Path)
     running.add_argument("--part", type=int, default=0)
     running.add_argument("--parts", type=int, default=1)
+    errors = commands.add_parser("poses")
+    errors.add_argument("flights", type=Path)
+    errors.add_argument("results", type=Path)
     table = commands.add_parser("table")
     table.add_argument("results", type=Path)
     asked = parser.parse_args()
     if asked.command == "run":
         quiet_start()
         run(asked.flights, asked.results, asked.part, asked.parts)
+    elif asked.command == "poses":
+        pose_errors(asked.flights, asked.results)
     else:
         from paper_tables import write_page
 
