@@ -57,7 +57,7 @@ def make_masks(photos: Photos, settings: Settings, progress: Progress | None = N
 
     Args:
         photos: The photos.
-        settings: The settings; `mask.method` decides only whether RX masks are made too.
+        settings: The settings; the methods only decide whether RX masks are made too.
         progress: Told of every step.
     """
     step = _Steps(progress)
@@ -74,7 +74,9 @@ def make_masks(photos: Photos, settings: Settings, progress: Progress | None = N
     step("cutting hues")
     rarity = weigh_rarity(photos, mask, gains)
     step("weighing rarity")
-    anomaly = find_anomalies(photos, mask, gains) if mask.method == "anomaly" else None
+    anomaly = None
+    if "anomaly" in (mask.method, settings.detect.method):
+        anomaly = find_anomalies(photos, mask, gains)
     step("finding anomalies")
     brightened = None
     if mask.brighten and hue is not None:

@@ -1,7 +1,7 @@
 """Integral images: every output pixel gathers every photo at its focal point."""
 
 from collections.abc import Sequence
-from functools import lru_cache
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -19,106 +19,28 @@ from hsvaos.kernels.arrays import (
     pixel_view,
     to_array,
 )
-from hsvaos.kernels.device import launch
-from hsvaos.kernels.lens import Lens, lens, project
-from hsvaos.kernels.pixels import as_value, times_gain
+from hsvaos.kernels.gather import gather
+from hsvaos.kernels.packing import Packed, pack
 from hsvaos.kernels.rays import focal_points
+from hsvaos.kernels.tiles import gather_tiles
 from hsvaos.surface import FocalPlane, FocalSurface, FocalTerrain
 
 wp.set_module_options({"enable_backward": False})
 
-_NO_LIMIT = 1e30
+_NO_LIMIT = 1e15
+"""Radius of an aperture without limit [m]; float32 holds its square."""
 
-
-@wp.struct
-class Pose:
-    """World to camera: rotation, centre relative to the virtual camera's [m], and photo's gain."""
-
-    rotation: wp.mat33
-    centre: wp.vec3
-    gain: wp.vec3
-
-
-@lru_cache
-def _gather_kernel(pixel: Any, weight: Any, value: Any) -> Any:
-    @wp.kernel(module="unique", enable_backward=False)
-    def gather_kernel(
-        offset: int,
-        band: int,
-        lens: Lens,
-        poses: wp.array(dtype=Pose),
-        order: wp.array(dtype=int),
-        aperture2: float,
-        points: wp.array(dtype=wp.vec4),
-        images: wp.array2d(dtype=pixel),
-        weights: wp.array2d(dtype=weight),
-        weight_unit: float,
-        weight_step: int,
-        image: wp.array(dtype=value),
-        footprint: wp.array(dtype=float),
-    ):
-        i = wp.tid() + offset
-        point = points[i]
-        total = value(0.0)
-        sum_of_weights = float(0.0)
-        if point[3] > 0.0:
-            place = wp.vec3(point[0], point[1], point[2])
-            for k in range(order.shape[0]):
-                n = order[k]
-                pose = poses[n]
-                away = place - pose.centre
-                if away[0] * away[0] + away[1] * away[1] <= aperture2:
-                    at = project(pose.rotation * away, lens)
-                    u, v = at[0], at[1]
-                    # a photo covers the area of its pixels; its edge pixels reach to the border
-                    if (
-                        at[2] > 0.0
-                        and u >= -0.5
-                        and v >= -0.5
-                        and u <= float(lens.width) - 0.5
-                        and v <= float(lens.height) - 0.5
-                    ):
-                        left = wp.floor(u)
-                        top = wp.floor(v)
-                        fx = u - left
-                        fy = v - top
-                        x0 = wp.max(int(left), 0)
-                        y0 = wp.max(int(top), 0)
-                        x1 = wp.min(int(left) + 1, lens.width - 1)
-                        y1 = wp.min(int(top) + 1, lens.height - 1)
-                        a = y0 * lens.width + x0
-                        b = y0 * lens.width + x1
-                        c = y1 * lens.width + x0
-                        d = y1 * lens.width + x1
-                        wa = (1.0 - fx) * (1.0 - fy)
-                        wb = fx * (1.0 - fy)
-                        wc = (1.0 - fx) * fy
-                        wd = fx * fy
-                        if weight_unit > 0.0:
-                            wa *= float(weights[n * weight_step, a]) * weight_unit
-                            wb *= float(weights[n * weight_step, b]) * weight_unit
-                            wc *= float(weights[n * weight_step, c]) * weight_unit
-                            wd *= float(weights[n * weight_step, d]) * weight_unit
-                        share = wa + wb + wc + wd
-                        if share > 0.0:  # most rays end on masked leaves: spare their pixels
-                            here = (
-                                as_value(images[n, a]) * wa
-                                + as_value(images[n, b]) * wb
-                                + as_value(images[n, c]) * wc
-                                + as_value(images[n, d]) * wd
-                            )
-                            total += times_gain(here, pose.gain)
-                            sum_of_weights += share
-        if sum_of_weights > 0.0:
-            total = total / sum_of_weights
-        image[i] = total
-        footprint[i] = sum_of_weights
-
-    return gather_kernel
+_NOT_YET = object()
 
 
 class Integrator:
     """Photos held on a device, ready to be integrated from any virtual camera.
+
+    On the CPU the first integral packs photos and weights into a form that is fast to gather,
+    which takes 4 bytes a pixel more (8 for RGB that is not uint8 or has float weights); what is
+    written into the photos' memory after that is not seen. See `kernels.packing` for what is
+    rounded, and `kernels.gather` for the plain kernel, which runs where rounding would cost
+    accuracy, and on CUDA.
 
     Args:
         camera: The camera of all photos.
@@ -169,6 +91,8 @@ class Integrator:
         )
         self._gains = check_gains(gains, stack)
         self._weights, self._weight_unit = self._check_weights(weights)
+        self._packed: Any = _NOT_YET
+        self._packing = Lock()
 
     def _without_gaps(self, weights: Any) -> Any:
         """Give pixels of float photos that are not finite the value and the weight 0."""
@@ -251,15 +175,14 @@ class Integrator:
                 f"surface must be a FocalPlane or FocalTerrain, got {type(surface).__name__}"
             )
         check_view(view)
-        order, aperture2 = self._select(view, aperture_m, frames)
+        order, reach = self._select(view, aperture_m, frames)
         shape = (view.height, view.width)
         given = check_pair(out)
         channels = self._stack.channels
         image = output_array(given[0], (*shape, channels), wp.float32, self.device, "out[0]")
         footprint = output_array(given[1], shape, wp.float32, self.device, "out[1]")
         points = focal_points(view, surface, device=self.device)
-        setup = self._setup(view, order, aperture2)
-        self._gather(setup, points, image, footprint)
+        self._gather(view, order, reach, points, image, footprint)
         if out is not None:
             return out
         return like_input(image, self._like), like_input(footprint, self._like)
@@ -291,39 +214,47 @@ class Integrator:
         if downs.ndim != 1 or downs.size == 0 or not np.isfinite(downs).all():
             raise ValueError(f"downs_m must be a list of finite depths, got {downs_m!r}")
         check_view(view)
-        order, aperture2 = self._select(view, aperture_m, frames)
+        order, reach = self._select(view, aperture_m, frames)
         shape = (downs.size, view.height, view.width)
         given = check_pair(out)
         channels = self._stack.channels
         stack = output_array(given[0], (*shape, channels), wp.float32, self.device, "out[0]")
         footprint = output_array(given[1], shape, wp.float32, self.device, "out[1]")
-        setup = self._setup(view, order, aperture2)
         points = None
         for i, down in enumerate(downs):  # launches only: nothing here waits for the device
             points = focal_points(view, FocalPlane(float(down)), out=points, device=self.device)
-            self._gather(setup, points, stack[i], footprint[i])
+            self._gather(view, order, reach, points, stack[i], footprint[i])
         if out is not None:
             return out
         return like_input(stack, self._like), like_input(footprint, self._like)
 
-    def _setup(self, view: VirtualCamera, order: NDArray[np.int32], aperture2: float) -> list[Any]:
-        pose: Any = Pose
-        packed: Any = np.zeros(len(self), dtype=pose.numpy_dtype())
-        packed["rotation"] = self.world_from_camera[:, :3, :3].transpose(0, 2, 1)
-        packed["centre"] = self.world_from_camera[:, :3, 3] - view.world_from_camera[:3, 3]
-        packed["gain"] = self._gains
-        poses = wp.array(packed, dtype=Pose, device=self.device)
-        return [lens(self.camera), poses, wp.array(order, dtype=int, device=self.device), aperture2]
+    def _gather(
+        self,
+        view: VirtualCamera,
+        order: NDArray[np.int32],
+        reach: float,
+        points: Any,
+        image: Any,
+        footprint: Any,
+    ) -> None:
+        poses = self.world_from_camera.copy()
+        poses[:, :3, 3] -= view.world_from_camera[:3, 3]
+        photos = self._photos()
+        where = (poses, self._gains, order, reach, points)
+        if photos is None:
+            weights = (self._weights, self._weight_unit)
+            gather(self.camera, self._stack, *weights, *where, image, footprint)
+        else:
+            gather_tiles(self.camera, photos, *where, view.size, image, footprint)
 
-    def _gather(self, setup: list[Any], points: Any, image: Any, footprint: Any) -> None:
-        stack = self._stack
-        value = wp.vec3 if stack.channels == 3 else wp.float32
-        kernel = _gather_kernel(stack.pixel, self._weights.dtype, value)
-        step = int(self._weights.shape[0] > 1)
-        photos = [stack.pixels, self._weights, self._weight_unit, step]
-        size = points.size
-        results = [pixel_view(image, value, (size,)), pixel_view(footprint, wp.float32, (size,))]
-        launch(kernel, size, [*setup, points, *photos, *results], self.device)
+    def _photos(self) -> Packed | None:
+        """The photos packed for the CPU, once; None where the plain gather has to do."""
+        with self._packing:
+            if self._packed is _NOT_YET:
+                on_cpu = self.device.is_cpu
+                photos = (self._stack, self._weights, self._weight_unit)
+                self._packed = pack(*photos) if on_cpu else None
+            return self._packed
 
     def _select(
         self, view: VirtualCamera, aperture_m: float | None, frames: Sequence[int] | None
@@ -338,7 +269,7 @@ class Integrator:
         if not aperture_m > 0.0:
             raise ValueError(f"aperture_m must be a positive radius, got {aperture_m!r}")
         if view.is_ortho:  # each point has an aperture of its own: the kernel measures
-            return order.astype(np.int32), float(aperture_m) ** 2
+            return order.astype(np.int32), float(aperture_m)
         away = self.world_from_camera[:, :2, 3] - view.world_from_camera[:2, 3]
         near = np.hypot(away[:, 0], away[:, 1]) <= aperture_m
         return order[near[order]].astype(np.int32), _NO_LIMIT

@@ -7,7 +7,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from hsvaos.camera import Camera, VirtualCamera
-from hsvaos.kernels.device import launch, resolve_device
+from hsvaos.kernels.device import ROW_GRAIN, launch, resolve_device
 from hsvaos.kernels.lens import Lens, back_project, lens
 from hsvaos.surface import FocalPlane, FocalSurface, FocalTerrain
 
@@ -15,6 +15,10 @@ wp.set_module_options({"enable_backward": False})
 
 _BISECTIONS = 20
 """Halvings of a step that crossed the terrain: a step of 1 m ends below a micrometre."""
+
+
+_LEVEL = 1.0e-9
+"""Sine of the angle with a plane below which a ray runs along it."""
 
 
 @wp.struct
@@ -73,7 +77,7 @@ def plane_hit(
 ) -> wp.vec4:
     """Intersection with a plane and 1, or 0 where the ray misses it."""
     slope = wp.dot(normal, direction)
-    if wp.abs(slope) < 1.0e-9:
+    if wp.abs(slope) < _LEVEL:
         return wp.vec4(0.0, 0.0, 0.0, 0.0)
     t = wp.dot(normal, point - origin) / slope
     if forward_only != 0 and t <= 0.0:
@@ -151,6 +155,43 @@ def _plane_points(
     hits[i] = plane_hit(origin, direction, point, normal, int(eye.gsd == 0.0))
 
 
+@wp.func_native("""
+    #pragma clang loop vectorize(enable)
+    for (int column = 0; column < width; ++column) {
+        const float u = (float)column, v = (float)row;
+        const float slope = slopes[0] * u + slopes[1] * v + slopes[2];
+        const float hit = slope > least ? 1.0f : 0.0f;
+        const float scale = slope > least ? 1.0f / slope : 0.0f;
+        wp::vec4& out = hits.data[(size_t)row * width + column];
+        out[0] = (m.data[0][0] * u + m.data[0][1] * v + m.data[0][2]) * scale;
+        out[1] = (m.data[1][0] * u + m.data[1][1] * v + m.data[1][2]) * scale;
+        out[2] = (m.data[2][0] * u + m.data[2][1] * v + m.data[2][2]) * scale;
+        out[3] = hit;
+    }
+""")
+def _plane_row(
+    row: int,
+    width: int,
+    m: wp.mat33,
+    slopes: wp.vec3,
+    least: float,
+    hits: wp.array(dtype=wp.vec4),
+): ...
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def _plane_rows(
+    offset: int,
+    band: int,
+    width: int,
+    m: wp.mat33,
+    slopes: wp.vec3,
+    least: float,
+    hits: wp.array(dtype=wp.vec4),
+):
+    _plane_row(wp.tid() + offset, width, m, slopes, least, hits)
+
+
 @wp.kernel(module="unique", enable_backward=False)
 def _terrain_points(
     offset: int,
@@ -193,12 +234,45 @@ def focal_points(
     eye.gsd = view.gsd_m
     centre = view.world_from_camera[:3, 3]
     if isinstance(surface, FocalPlane):
+        if device.is_cpu and not (view.camera and view.camera.has_distortion):
+            inputs = [view.width, *plane_map(view, surface), hits]
+            launch(_plane_rows, view.height, inputs, device, ROW_GRAIN)
+            return hits
         place = [view.width, eye, wp.vec3(*(surface.point - centre)), wp.vec3(*surface.normal)]
         launch(_plane_points, size, [*place, hits], device)
         return hits
     terrain, heights = place_terrain(surface, centre, device)
     launch(_terrain_points, size, [view.width, eye, terrain, heights, hits], device)
     return hits
+
+
+def plane_map(view: VirtualCamera, plane: FocalPlane) -> tuple[Any, Any, float]:
+    """Return the projective map from pixels of an undistorted view to points of a plane.
+
+    Args:
+        view: The virtual camera or ground grid.
+        plane: The focal plane.
+
+    Returns:
+        A matrix and a vector that are multiplied by a pixel (u, v, 1): their quotient is the point
+        relative to the view's centre [m]. And what the second must exceed where the ray meets the
+        plane.
+    """
+    rotation = view.world_from_camera[:3, :3]
+    above = plane.normal @ (plane.point - view.world_from_camera[:3, 3])
+    if view.camera is None:
+        slope = plane.normal @ rotation[:, 2]
+        if abs(slope) < _LEVEL:
+            return wp.mat33(), wp.vec3(), 0.0
+        origins = np.column_stack([rotation[:, :2] * view.gsd_m, np.zeros(3)])
+        way = -plane.normal @ origins + [0.0, 0.0, above]
+        points = origins + np.outer(rotation[:, 2], way / slope)
+        return wp.mat33(*points.ravel()), wp.vec3(0.0, 0.0, 1.0), 0.0
+    if above == 0.0:
+        return wp.mat33(), wp.vec3(), 0.0
+    directions = rotation @ np.linalg.inv(view.camera.matrix())
+    slopes = plane.normal @ directions / above
+    return wp.mat33(*directions.ravel()), wp.vec3(*slopes), float(_LEVEL / abs(above))
 
 
 def place_terrain(

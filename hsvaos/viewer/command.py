@@ -2,42 +2,43 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from hsvaos.cli_options import (
+    DetectOption,
+    Device,
+    FlightPath,
+    Format,
+    Fov,
+    FrameMask,
+    GroundDown,
+    MaskOption,
+    Poses,
+    Scale,
+    SettingsFile,
+    Terrain,
+    focus_of,
+    settings_of,
+)
 
 LOCAL = "127.0.0.1"
 
 
 def view(
-    flight: Annotated[Path, typer.Argument(metavar="FLIGHT", help="Folder of a flight.")],
-    fov: Annotated[
-        float | None, typer.Option("--fov", metavar="DEG", help="Horizontal field of view.")
-    ] = None,
-    poses: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="poses.csv or poses.json to use instead.")
-    ] = None,
-    format: Annotated[
-        str | None, typer.Option(help="native, jku, dji or photos; guessed if absent.")
-    ] = None,
-    ground_down: Annotated[
-        float | None, typer.Option(metavar="M", help="Down of the ground, to start from.")
-    ] = None,
-    frame_mask: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Image of valid pixels; black is ignored.")
-    ] = None,
-    terrain: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Focal terrain: GeoTIFF, .obj or .npz.")
-    ] = None,
-    scale: Annotated[
-        float | None, typer.Option(help="Shrink photos by this factor while decoding. [default: 1]")
-    ] = None,
-    settings: Annotated[
-        Path | None,
-        typer.Option("--settings", metavar="FILE.toml", help="Settings to start from."),
-    ] = None,
-    device: Annotated[str, typer.Option(help="cpu, cuda:0, ...")] = "cpu",
+    flight: FlightPath,
+    fov: Fov = None,
+    poses: Poses = None,
+    format: Format = None,
+    ground_down: GroundDown = None,
+    frame_mask: FrameMask = None,
+    mask: MaskOption = None,
+    terrain: Terrain = None,
+    detect: DetectOption = None,
+    scale: Scale = None,
+    settings: SettingsFile = None,
+    device: Device = "cpu",
     host: Annotated[
         str, typer.Option(help="Address to listen at; 0.0.0.0 lets others in.")
     ] = LOCAL,
@@ -57,15 +58,17 @@ def view(
 
     from hsvaos.console import Console
     from hsvaos.formats.open import open_flight
-    from hsvaos.settings import Settings
     from hsvaos.viewer.app import App
     from hsvaos.viewer.plain import PlainApp
     from hsvaos.viewer.session import Session
 
-    chosen = Settings() if settings is None else Settings.from_file(settings)
-    chosen = chosen.with_values(photos={"scale": scale})
-    if terrain is not None:
-        chosen = chosen.with_focus({"terrain": str(terrain), "down_m": None, "autofocus": False})
+    chosen = settings_of(
+        settings,
+        focus=focus_of(None, terrain, False),
+        mask={"method": mask},
+        photos={"scale": scale},
+        detect={"method": detect},
+    )
     console = Console()
     opened = open_flight(flight, None, poses, format, fov, ground_down, frame_mask)
     with console.progress() as progress:

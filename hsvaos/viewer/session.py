@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hsvaos.camera import VirtualCamera
+from hsvaos.finding import Finder, make_finder
 from hsvaos.flight import Flight, FlightError
 from hsvaos.focusing import choose_surface, shifted, tilted_plane, without_parallax
 from hsvaos.kernels.arrays import SCALE
@@ -86,6 +87,7 @@ class Session:
         self.notes = (*notes, *photos.notes, *focus_notes, *still)
         self._finds: tuple[Any, tuple[Find, ...]] | None = None
         self._finding = threading.Lock()
+        self._finder: Finder | None = None
 
     @classmethod
     def open(
@@ -232,7 +234,10 @@ class Session:
             if not wanted():
                 raise Abandoned
             name = self.flight.frames[index].name
-            result, places = Renderer(by, settings, surface).render(name, self.flight.view(index))
+            if self._finder is None:
+                self._finder = make_finder(settings.detect, len(self.flight))
+            renderer = Renderer(by, settings, surface, self._finder)
+            result, places = renderer.render(name, self.flight.view(index))
             found = _on_surface(result, places.places, surface)
             self._finds = (key, found)
         return found

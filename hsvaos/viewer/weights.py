@@ -28,7 +28,7 @@ from hsvaos.photos import Photos
 from hsvaos.rendering import Integrators
 from hsvaos.settings import MaskSettings, Settings
 
-KINDS = ("plain", "hue", "rarity", "rarity_map", "anomaly")
+KINDS = ("plain", "hue", "rarity", "rarity_map", "anomaly", "anomaly_map")
 
 _BATCH_PX = 8_000_000
 """Pixels masked at once: between batches a request that is no longer wanted gives up."""
@@ -54,6 +54,7 @@ _FIELDS = {
     "rarity": (*_OF_RARITY, *_OF_KEEPING),
     "rarity_map": (*_OF_RARITY, *_OF_KEEPING),
     "anomaly": ("anomaly_quantile", *_OF_KEEPING),
+    "anomaly_map": ("anomaly_quantile", *_OF_KEEPING),
 }
 """Settings that each kind of weights depends on; a change of any other redoes nothing."""
 
@@ -85,7 +86,7 @@ class WeightCache:
         self._whole: dict[str, OrderedDict[Any, Integrator]] = {k: OrderedDict() for k in KINDS}
         self._part: dict[str, tuple[Any, Integrator]] = {}
         self._small: tuple[tuple[int, ...], Photos] | None = None
-        self._rarity_kept: tuple[Any, Any] | None = None
+        self._layers: dict[str, tuple[Any, Any]] = {}
         size = int(photos.images.size)
         self._kept = max(1, min(_MOST_KEPT, _CACHE_BYTES // max(1, 2 * size)))
 
@@ -178,20 +179,25 @@ class WeightCache:
     def integrators(self, mask: MaskSettings, wanted: Wanted = lambda: True) -> Integrators:
         """Return all integrators that `hsvaos.rendering.Renderer` asks for."""
         hue = self.integrator("hue", mask, wanted) if self.photos.is_colour else None
+        odd = None
+        if "anomaly" in (mask.method, self._settings.detect.method):
+            odd = self.integrator("anomaly_map", mask, wanted)
         return Integrators(
             plain=self.integrator("plain", mask, wanted),
             chosen=self.integrator(self.kind_of(mask.method), mask, wanted),
             rarity=self.integrator("rarity", mask, wanted),
             hue=hue,
             rarity_map=self.integrator("rarity_map", mask, wanted),
+            anomaly_map=odd,
         )
 
     def _make_whole(self, kind: str, mask: MaskSettings, wanted: Wanted) -> Integrator:
         photos, gains = self.photos, self.gains
-        if kind in ("rarity", "rarity_map"):
-            return _integrator(kind, photos, mask, [], gains, self._rarity(mask, wanted))
-        if kind != "hue":
+        if kind == "plain":
             return _integrator(kind, photos, mask, [], gains)
+        if kind != "hue":
+            layer = self._layer(kind.removesuffix("_map"), mask, wanted)
+            return _integrator(kind, photos, mask, [], gains, layer)
         stats = self.hue_stats(mask)
         shape = photos.images.shape
         cut = wp.empty(shape[:3], dtype=wp.uint8, device=photos.images.device)
@@ -213,17 +219,17 @@ class WeightCache:
             photos.flight.camera, photos.images, photos.flight.poses, cut, gains=gains
         )
 
-    def _rarity(self, mask: MaskSettings, wanted: Wanted) -> Any:
-        """Rarity weights, of which there are two integrators: by them, and of them."""
+    def _layer(self, kind: str, mask: MaskSettings, wanted: Wanted) -> Any:
+        """Weights by rarity or RX, of which there are two integrators: by them, and of them."""
         if not wanted():
             raise Abandoned
-        key = _key("rarity", mask)
+        key = _key(kind, mask)
         with self._base:
-            if self._rarity_kept is not None and self._rarity_kept[0] == key:
-                return self._rarity_kept[1]
-        weights = weigh_rarity(self.photos, mask, self.gains)
+            if kind in self._layers and self._layers[kind][0] == key:
+                return self._layers[kind][1]
+        weights = _weigh(kind, self.photos, mask, self.gains)
         with self._base:
-            self._rarity_kept = (key, weights)
+            self._layers[kind] = (key, weights)
         return weights
 
     def _shrunk(self, frames: tuple[int, ...]) -> Photos:
@@ -263,13 +269,18 @@ def _slice(photos: Photos, part: slice) -> Photos:
     )
 
 
+def _weigh(kind: str, photos: Photos, mask: MaskSettings, gains: NDArray[np.float64] | None) -> Any:
+    make = weigh_rarity if kind == "rarity" else find_anomalies
+    return make(photos, mask, gains)
+
+
 def _integrator(
     kind: str,
     photos: Photos,
     mask: MaskSettings,
     stats: list[HueStatistics],
     gains: NDArray[np.float64] | None,
-    rarity: Any = None,
+    layer: Any = None,
 ) -> Integrator:
     """Return the integrator of one kind; the same choices as `rendering.make_integrators`."""
     camera, poses = photos.flight.camera, photos.flight.poses
@@ -280,10 +291,8 @@ def _integrator(
         if mask.brighten:
             return Integrator(camera, brighten_kept(photos, mask, hue, gains), poses, hue)
         return Integrator(camera, photos.images, poses, hue, gains=gains)
-    if kind == "anomaly":
-        found = find_anomalies(photos, mask, gains)
-        return Integrator(camera, photos.images, poses, found, gains=gains)
-    weights = weigh_rarity(photos, mask, gains) if rarity is None else rarity
-    if kind == "rarity_map":
-        return Integrator(camera, weights, poses, photos.valid)
-    return Integrator(camera, photos.images, poses, weights, gains=gains)
+    if layer is None:
+        layer = _weigh(kind.removesuffix("_map"), photos, mask, gains)
+    if kind.endswith("_map"):
+        return Integrator(camera, layer, poses, photos.valid)
+    return Integrator(camera, photos.images, poses, layer, gains=gains)

@@ -1,0 +1,149 @@
+"""The plain gather: one thread a pixel loops over the photos. It runs on every device."""
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from hsvaos.camera import Camera
+from hsvaos.kernels.arrays import Stack, pixel_view
+from hsvaos.kernels.device import launch
+from hsvaos.kernels.lens import Lens, lens, project
+from hsvaos.kernels.pixels import as_value, times_gain
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Pose:
+    """World to camera: rotation, centre relative to the virtual camera's [m], and photo's gain."""
+
+    rotation: wp.mat33
+    centre: wp.vec3
+    gain: wp.vec3
+
+
+@lru_cache
+def _gather_kernel(pixel: Any, weight: Any, value: Any) -> Any:
+    @wp.kernel(module="unique", enable_backward=False)
+    def gather_kernel(
+        offset: int,
+        band: int,
+        lens: Lens,
+        poses: wp.array(dtype=Pose),
+        order: wp.array(dtype=int),
+        aperture2: float,
+        points: wp.array(dtype=wp.vec4),
+        images: wp.array2d(dtype=pixel),
+        weights: wp.array2d(dtype=weight),
+        weight_unit: float,
+        weight_step: int,
+        image: wp.array(dtype=value),
+        footprint: wp.array(dtype=float),
+    ):
+        i = wp.tid() + offset
+        point = points[i]
+        total = value(0.0)
+        sum_of_weights = float(0.0)
+        if point[3] > 0.0:
+            place = wp.vec3(point[0], point[1], point[2])
+            for k in range(order.shape[0]):
+                n = order[k]
+                pose = poses[n]
+                away = place - pose.centre
+                if away[0] * away[0] + away[1] * away[1] <= aperture2:
+                    at = project(pose.rotation * away, lens)
+                    u, v = at[0], at[1]
+                    # a photo covers the area of its pixels; its edge pixels reach to the border
+                    if (
+                        at[2] > 0.0
+                        and u >= -0.5
+                        and v >= -0.5
+                        and u <= float(lens.width) - 0.5
+                        and v <= float(lens.height) - 0.5
+                    ):
+                        left = wp.floor(u)
+                        top = wp.floor(v)
+                        fx = u - left
+                        fy = v - top
+                        x0 = wp.max(int(left), 0)
+                        y0 = wp.max(int(top), 0)
+                        x1 = wp.min(int(left) + 1, lens.width - 1)
+                        y1 = wp.min(int(top) + 1, lens.height - 1)
+                        a = y0 * lens.width + x0
+                        b = y0 * lens.width + x1
+                        c = y1 * lens.width + x0
+                        d = y1 * lens.width + x1
+                        wa = (1.0 - fx) * (1.0 - fy)
+                        wb = fx * (1.0 - fy)
+                        wc = (1.0 - fx) * fy
+                        wd = fx * fy
+                        if weight_unit > 0.0:
+                            wa *= float(weights[n * weight_step, a]) * weight_unit
+                            wb *= float(weights[n * weight_step, b]) * weight_unit
+                            wc *= float(weights[n * weight_step, c]) * weight_unit
+                            wd *= float(weights[n * weight_step, d]) * weight_unit
+                        share = wa + wb + wc + wd
+                        if share > 0.0:  # most rays end on masked leaves: spare their pixels
+                            here = (
+                                as_value(images[n, a]) * wa
+                                + as_value(images[n, b]) * wb
+                                + as_value(images[n, c]) * wc
+                                + as_value(images[n, d]) * wd
+                            )
+                            total += times_gain(here, pose.gain)
+                            sum_of_weights += share
+        if sum_of_weights > 0.0:
+            total = total / sum_of_weights
+        image[i] = total
+        footprint[i] = sum_of_weights
+
+    return gather_kernel
+
+
+def gather(
+    camera: Camera,
+    stack: Stack,
+    weights: Any,
+    weight_unit: float,
+    poses: NDArray[np.float64],
+    gains: NDArray[np.float64],
+    order: NDArray[np.int32],
+    reach: float,
+    points: Any,
+    image: Any,
+    footprint: Any,
+) -> None:
+    """Integrate photos as they are at given points.
+
+    Args:
+        camera: Camera of the photos.
+        stack: The photos.
+        weights: Warp array (N or 1, H * W), uint8 or float32.
+        weight_unit: Weight of 1 in that array; 0 if all pixels have the weight 1.
+        poses: Shape (N, 4, 4), world from camera, relative to the points' origin.
+        gains: Shape (N, 3), factors on the channels.
+        order: Numbers of the photos to use.
+        reach: Greatest horizontal distance of a photo from a point [m].
+        points: Warp array (H * W) of vec4, see `focal_points`.
+        image: Warp array of H * W * C float32, written.
+        footprint: Warp array of H * W float32, written.
+    """
+    pose: Any = Pose
+    packed: Any = np.zeros(stack.count, dtype=pose.numpy_dtype())
+    packed["rotation"] = poses[:, :3, :3].transpose(0, 2, 1)
+    packed["centre"] = poses[:, :3, 3]
+    packed["gain"] = gains
+    size = points.size
+    value = wp.vec3 if stack.channels == 3 else wp.float32
+    inputs = [
+        lens(camera),
+        wp.array(packed, dtype=Pose, device=stack.device),
+        wp.array(order, dtype=int, device=stack.device),
+        reach * reach,
+        *(points, stack.pixels, weights, weight_unit, int(weights.shape[0] > 1)),
+        *(pixel_view(image, value, (size,)), pixel_view(footprint, wp.float32, (size,))),
+    ]
+    launch(_gather_kernel(stack.pixel, weights.dtype, value), size, inputs, stack.device)

@@ -1,0 +1,250 @@
+"""Photos packed for fast gathering on the CPU: colour and weight of a pixel in one word."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from string import Template
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from hsvaos.kernels.arrays import Stack, pixel_view
+from hsvaos.kernels.device import ROW_GRAIN, launch
+
+wp.set_module_options({"enable_backward": False})
+
+LINE = 64
+"""Bytes of a cache line."""
+
+_LEAST_WEIGHT = 2.0**-25
+"""Least weight, as a share of the greatest, that 16 bits hold well."""
+
+
+@dataclass(frozen=True, eq=False)
+class Packed:
+    """Photos in one buffer, each with a border of one repeated pixel.
+
+    Args:
+        words: Warp array, uint32, all frames behind one another.
+        form: What a pixel is; each part has 8, 16 or 32 bits:
+            "rgb8" one word, R, G, B and weight, which is 0 or 255;
+            "rgb16" two words, R, G, B times weight, and weight, as half floats;
+            "grey16" one word, grey and weight;
+            "grey32" one word, a float;
+            "grey32 weighted" two words, a float and a float for its weight.
+            The weight of "grey16" is a small float: 5 bits of exponent, 11 of mantissa.
+        row: Pixels from one row to the next.
+        frame: Pixels from one frame to the next.
+        weight_unit: What one step of the decoded weights counts.
+        white: What a decoded colour over its weight is to be multiplied by.
+    """
+
+    words: Any
+    form: str
+    row: int
+    frame: int
+    weight_unit: float
+    white: float = 1.0
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that the packed photos take [bytes]."""
+        return 4 * int(self.words.size)
+
+
+_WORDS = {"rgb8": 1, "rgb16": 2, "grey16": 1, "grey32": 1, "grey32 weighted": 2}
+
+_ROW = Template("""
+    const int line = job % (height + 2);
+    const int frame = job / (height + 2);
+    const int y = line == 0 ? 0 : (line > height ? height - 1 : line - 1);
+    const $source* from = images.data + ((size_t)frame * height + y) * width * $channels;
+    const $weight* weigh = weights.data + ((size_t)(frame * weight_step) * height + y) * width;
+    unsigned* to = words.data + ((size_t)frame * frame_stride + (size_t)line * row_stride) * $words;
+    #pragma clang loop vectorize(enable)
+    for (int x = 0; x < width; ++x) {
+        $pack
+    }
+    for (int i = 0; i < $words; ++i) {
+        to[i] = to[$words + i];
+        to[(width + 1) * $words + i] = to[width * $words + i];
+    }
+""")
+
+_WEIGHT_16 = """
+        float share = $share * weight_scale;
+        share = share < 0x1p-30f ? 0.0f : share;
+        const unsigned weight = (__builtin_bit_cast(unsigned, share * 0x1p-96f) + 2048u) >> 12;
+"""
+
+_PACK = {
+    "rgb8": """
+        const unsigned seen = $share > 0.0f ? ~0u : 0u;
+        to[x + 1] = seen & ((unsigned)from[3 * x] | (unsigned)from[3 * x + 1] << 8
+            | (unsigned)from[3 * x + 2] << 16 | 255u << 24);
+""",
+    "rgb16": """
+        const float share = $share * weight_scale;
+        const float dim = share * (sizeof(*from) == 1 ? 128.0f : 0.5f);
+        const _Float16 red = (_Float16)(dim * (float)from[3 * x]);
+        const _Float16 green = (_Float16)(dim * (float)from[3 * x + 1]);
+        const _Float16 blue = (_Float16)(dim * (float)from[3 * x + 2]);
+        const _Float16 weight = (_Float16)(share * 32768.0f);
+        to[2 * x + 2] = (unsigned)__builtin_bit_cast(unsigned short, red)
+            | (unsigned)__builtin_bit_cast(unsigned short, green) << 16;
+        to[2 * x + 3] = (unsigned)__builtin_bit_cast(unsigned short, blue)
+            | (unsigned)__builtin_bit_cast(unsigned short, weight) << 16;
+""",
+    "grey16": _WEIGHT_16 + "        to[x + 1] = (unsigned)from[x] | weight << 16;\n",
+    "grey32": "to[x + 1] = __builtin_bit_cast(unsigned, from[x]);",
+    "grey32 weighted": """
+        to[2 * x + 2] = __builtin_bit_cast(unsigned, from[x]);
+        to[2 * x + 3] = __builtin_bit_cast(unsigned, $share * weight_scale);
+""",
+}
+
+_C_TYPE = {wp.uint8: "unsigned char", wp.uint16: "unsigned short", wp.float32: "float"}
+
+
+@lru_cache
+def _pack_kernel(form: str, scalar: Any, weight: Any) -> Any:
+    """Kernel that packs one row of a frame; `weight` None gives every pixel the weight 1."""
+    share = "1.0f" if weight is None else "(float)weigh[x]"
+    stored = wp.uint8 if weight is None else weight
+    snippet = _ROW.substitute(
+        source=_C_TYPE[scalar],
+        weight=_C_TYPE[stored],
+        channels=3 if form.startswith("rgb") else 1,
+        words=_WORDS[form],
+        pack=Template(_PACK[form]).substitute(share=share),
+    )
+
+    @wp.func_native(snippet)
+    def pack_row(
+        job: int,
+        width: int,
+        height: int,
+        row_stride: int,
+        frame_stride: int,
+        weight_scale: float,
+        weight_step: int,
+        images: wp.array(dtype=scalar),
+        weights: wp.array(dtype=stored),
+        words: wp.array(dtype=wp.uint32),
+    ): ...
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def pack_kernel(
+        offset: int,
+        band: int,
+        width: int,
+        height: int,
+        row_stride: int,
+        frame_stride: int,
+        weight_scale: float,
+        weight_step: int,
+        images: wp.array(dtype=scalar),
+        weights: wp.array(dtype=stored),
+        words: wp.array(dtype=wp.uint32),
+    ):
+        pack_row(
+            wp.tid() + offset,
+            width,
+            height,
+            row_stride,
+            frame_stride,
+            weight_scale,
+            weight_step,
+            images,
+            weights,
+            words,
+        )
+
+    return pack_kernel
+
+
+def pack(stack: Stack, weights: Any, weight_unit: float) -> Packed | None:
+    """Pack photos and their weights; see `Packed`.
+
+    Nothing is rounded but weights that are more than a mask, of photos of whole numbers: they, or
+    for RGB their product with the colour, keep 11 or 12 significant bits.
+
+    Args:
+        stack: The photos, on the CPU.
+        weights: Warp array (N or 1, H * W), uint8 or float32.
+        weight_unit: Weight of 1 in that array; 0 if all pixels have the weight 1.
+
+    Returns:
+        The packed photos; None where there is no form for them: float RGB photos, and float
+        weights that span more than seven decades.
+    """
+    weighted = weight_unit > 0.0
+    weight = weights.dtype if weighted else None
+    form = _form(stack, weights if weighted else None)
+    share = _weight_scale(form, weights, weight_unit) if form else None
+    if form is None or share is None:
+        return None
+    row = _row_stride(stack.width, 4 * _WORDS[form])
+    frame = row * (stack.height + 2) + 5 * LINE // (4 * _WORDS[form])
+    # the operating system gives NumPy's large arrays large pages: fewer misses of the TLB
+    buffer = np.empty(stack.count * frame * _WORDS[form], dtype=np.uint32)
+    words = wp.array(buffer, dtype=wp.uint32, device="cpu", copy=False)
+    inputs = [
+        *(stack.width, stack.height, row, frame, share[0]),
+        int(weighted and weights.shape[0] > 1),
+        pixel_view(stack.array, stack.scalar, (stack.array.size,)),
+        pixel_view(weights, weights.dtype, (weights.size,)),
+        words,
+    ]
+    kernel = _pack_kernel(form, stack.scalar, weight)
+    launch(kernel, stack.count * (stack.height + 2), inputs, stack.device, ROW_GRAIN)
+    white = {"rgb8": 255.0, "rgb16": 256.0 if stack.scalar is wp.uint8 else 65536.0}
+    return Packed(words, form, row, frame, share[1], white.get(form, 1.0))
+
+
+def _form(stack: Stack, weights: Any) -> str | None:
+    """Form for photos with these weights; None where all weights are 1."""
+    if stack.channels == 1:
+        if stack.scalar is wp.float32:
+            return "grey32" if weights is None else "grey32 weighted"
+        return "grey16"
+    if stack.scalar is wp.float32:
+        return None
+    masked = weights is None or (weights.dtype is wp.uint8 and _is_mask(weights))
+    return "rgb8" if stack.scalar is wp.uint8 and masked else "rgb16"
+
+
+def _is_mask(weights: Any) -> bool:
+    """Whether bytes are only 0 and one other value, 1 or 255."""
+    rows = (weights[i].numpy() for i in range(weights.shape[0]))
+    return all(((row + np.uint8(1)) <= 2).all() for row in rows)
+
+
+def _row_stride(width: int, pixel: int) -> int:
+    """Pixels of a padded row of `pixel` bytes each: rows of a tile shall not share cache sets."""
+    lines = -(-(width + 2) * pixel // LINE)
+    sets = 4096 // LINE
+    while lines % 2 == 0 or not 3 <= lines % sets <= sets - 3:
+        lines += 1
+    return lines * LINE // pixel
+
+
+def _weight_scale(form: str, weights: Any, unit: float) -> tuple[float, float] | None:
+    """Factor on stored weights as they are packed, and the unit of the result."""
+    if form == "rgb8":
+        return 1.0, 1.0 / 255.0
+    if form == "grey32 weighted":
+        return 1.0, unit
+    stored = 1.0 / 32768.0 if form == "rgb16" else 1.0
+    if unit == 0.0:
+        return 1.0, stored
+    if weights.dtype is wp.uint8:  # whole numbers of 8 bits are exact as small floats
+        return 1.0 / 256.0, 256.0 * unit * stored
+    rows = [weights[i].numpy() for i in range(weights.shape[0])]
+    top = max(float(row.max()) for row in rows)
+    least = min(float(np.min(row, initial=np.inf, where=row != 0.0)) for row in rows)
+    if top == 0.0:
+        return 1.0, stored
+    if not (np.isfinite(top) and least >= _LEAST_WEIGHT * top):
+        return None
+    return 1.0 / top, top * unit * stored
