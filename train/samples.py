@@ -13,7 +13,7 @@ from hsvaos.detect.network_input import TRAINED_GSD_M, network_input
 from train.maps import HUE_FOOTPRINT, PLANES, RARITY_MAP, RAYS
 
 CROP_PX = 256
-LEAST_RAYS = 0.9
+LEAST_RAYS = 1.5
 """People with fewer unoccluded rays a point are neither wanted nor forbidden."""
 
 LEAST_RAYS_SEEN = 3.0
