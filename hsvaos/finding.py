@@ -37,6 +37,24 @@ class Finder:
         return self.find(layers, gsd_m)
 
 
+def operating_score(settings: DetectSettings) -> float:
+    """Return the score from which a find is reported.
+
+    Args:
+        settings: The method and its thresholds.
+
+    Raises:
+        ValueError: If the threshold is the network's own and that cannot be read.
+    """
+    if settings.method != "network":
+        return settings.min_z
+    if settings.min_score is not None:
+        return settings.min_score
+    from hsvaos.detect.yolo import Detector
+
+    return Detector(settings.model, settings.layout).score
+
+
 def make_finder(settings: DetectSettings, photos: int) -> Finder | None:
     """Return what looks for people; None where nobody is looked for.
 

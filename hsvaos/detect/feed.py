@@ -25,7 +25,7 @@ _OWN_SIDE = 2048
 """Largest window of our own networks, which take any size: it bounds the memory."""
 
 _OWN_OVERLAP = 256
-"""Overlap of such windows [px]: half of it is two people long at 3.5 cm."""
+"""Overlap of such windows [px]: half of it is three people long at 4.5 cm."""
 
 _OVERLAP = 0.2
 """Overlap of other windows, as a share of their side."""

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 CHANNELS = ("red", "green", "blue", "plain red", "plain green", "plain blue", "rarity", "rays")
 """Channels of the network's input, in order."""
 
-TRAINED_GSD_M = (0.035, 0.08)
+TRAINED_GSD_M = (0.045, 0.09)
 """Ground sampling distances [m/px] between which the network was trained."""
 
 _SURROUND_PX = 129

@@ -118,8 +118,8 @@ class Detector:
                 pixel is seen, by nobody knows how many.
             rarity: Shape (H, W), mean rarity weight over the rays, for our own networks.
             plain: Like the image, the integral image without a mask, for our own networks.
-            gsd_m: Ground sampling distance [m/px]. Our own networks were trained for 0.035 to
-                0.08: beyond that the view is resampled. By default it is taken as it is.
+            gsd_m: Ground sampling distance [m/px]. Our own networks were trained for 0.045 to
+                0.09: beyond that the view is resampled. By default it is taken as it is.
 
         Returns:
             People, strongest first; scores are probabilities, all class ids 0.

@@ -14,12 +14,13 @@ from rich.table import Table
 from hsvaos.evaluate.evaluation import evaluate_flights
 from hsvaos.evaluate.figures import curve_picture, lines_of
 from hsvaos.evaluate.measures import Evaluation, Rules
-from hsvaos.evaluate.operating import operating_score, persons_from, widened, with_score
+from hsvaos.evaluate.operating import persons_from, widened, with_score
 from hsvaos.evaluate.poses import FROM_LOG, open_posed, own_file
 from hsvaos.evaluate.results import FlightResult
 from hsvaos.evaluate.store import Stored, fingerprint, load, save
 from hsvaos.evaluate.tables import cell, evaluation_csv, markdown_report
 from hsvaos.evaluate.truth import read_people, read_truth, truth_file
+from hsvaos.finding import operating_score
 from hsvaos.flight import Flight, FlightError
 from hsvaos.formats.open import open_flight
 from hsvaos.photos import with_poses
@@ -91,7 +92,7 @@ def evaluate_paths(work: Work, console: Console) -> dict[str, Any]:
         raise ValueError("detect.enabled must be true to evaluate finds, got False")
     if work.rules.score is not None:
         work = replace(work, settings=with_score(work.settings, work.rules.score))
-    rules = replace(work.rules, score=operating_score(work.settings))
+    rules = replace(work.rules, score=operating_score(work.settings.detect))
     check_writable(work.out, FILE_NAMES)
     check_writable(work.out / "flights")
     jobs = _jobs(work)

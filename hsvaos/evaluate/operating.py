@@ -7,31 +7,35 @@ from typing import Any
 from hsvaos.detect.detections import Detections, Person
 from hsvaos.detect.locate import ViewFinds, box_places, merge_views
 from hsvaos.evaluate.results import rendered_views
+from hsvaos.finding import operating_score
 from hsvaos.kernels.rays import focal_points
 from hsvaos.result import Result
 from hsvaos.settings import Settings
 
 _TAIL = 0.5
-"""Finds of a curve go down to this share of the score from which a run reports them."""
+"""Peaks of a curve go down to this share of the local z from which a run reports them."""
+
+_LEAST_SCORE = 0.02
+"""Boxes of a network go down to this score."""
 
 _MOST = 100
 """Finds kept in a view, as COCO keeps them."""
 
 
-def operating_score(settings: Settings) -> float:
-    """Return the score from which a run with these settings reports a find."""
-    return settings.detect.min_z
-
-
 def with_score(settings: Settings, score: float) -> Settings:
     """Return settings that report finds from a score on."""
-    return settings.with_values(detect={"min_z": score})
+    name = "min_score" if settings.detect.method == "network" else "min_z"
+    return settings.with_values(detect={name: score})
 
 
 def widened(settings: Settings) -> Settings:
     """Return settings that keep weaker finds too, so that curves do not end where reports do."""
     detect = settings.detect
-    low = {"min_z": _TAIL * detect.min_z, "max_finds": max(detect.max_finds, _MOST)}
+    low = {
+        "min_z": _TAIL * detect.min_z,
+        "min_score": min(_LEAST_SCORE, operating_score(detect)),
+        "max_finds": max(detect.max_finds, _MOST),
+    }
     return settings.with_values(detect=low)
 
 
@@ -44,13 +48,14 @@ def persons_from(result: Result, settings: Settings, device: Any) -> tuple[Perso
         device: Where to cast rays.
     """
     detect = settings.detect
+    score = operating_score(detect)
     finds = []
     for (_, found), view in zip(result.views, rendered_views(result), strict=True):
-        kept = _strongest(found, operating_score(settings), detect.max_finds)
+        kept = _strongest(found, score, detect.max_finds)
         hits = focal_points(view, result.surface, device=device).numpy()
         hits = hits.reshape(view.height, view.width, 4)
         finds.append(ViewFinds(view, kept, *box_places(kept, hits, view)))
-    least = detect.min_z * detect.min_agreement
+    least = score * detect.min_agreement
     return merge_views(finds, detect.person_m, least, result.flight.origin)
 
 
