@@ -120,7 +120,7 @@ def test_large_views_of_our_own_are_cut() -> None:
     places = [(16, 16), (336, 240), (640, 464), (304, 0), (100, 300)]
     for row, column in places:
         image[row : row + 32, column : column + 32] = (190.0, 60.0, 50.0)
-    whole = Detector(own_net(RED_CONTRAST, -3.0)).detect(image)
+    whole = Detector(own_net(RED_CONTRAST, -3.0), slice_px=0).detect(image)
     for cut in (
         Detector(own_net(RED_CONTRAST, -3.0), slice_px=300),
         Detector(own_net(RED_CONTRAST, -3.0, dynamic=False)),
