@@ -237,6 +237,15 @@ class Settings:
         """
         return dataclasses.replace(self, focus=dataclasses.replace(self.focus, **table))
 
+    def with_score(self, score: float) -> Settings:
+        """Return the settings with another threshold of finds, in units of the method they name.
+
+        Args:
+            score: Score of the network, or local z of peaks.
+        """
+        name = "min_score" if self.detect.method == "network" else "min_z"
+        return self.with_values(detect={name: score})
+
     def to_toml(self) -> str:
         """Return the settings as TOML, every default written out; what is not set is left out."""
         lines: list[str] = []

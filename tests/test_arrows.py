@@ -39,7 +39,18 @@ ALLOWED = {
     "demo": BASE | {"formats"},
     "report": BASE | {"detect", "result", "sweeping"},
     "evaluate": BASE
-    | {"detect", "result", "formats", "report", "viewing", "nav", "kernels", "photos", "pipeline"},
+    | {
+        "detect",
+        "result",
+        "formats",
+        "report",
+        "viewing",
+        "nav",
+        "kernels",
+        "photos",
+        "pipeline",
+        "finding",
+    },
 }
 """What each part may import when it is loaded; parts not named here may import anything."""
 

@@ -14,7 +14,7 @@ from rich.table import Table
 from hsvaos.evaluate.evaluation import evaluate_flights
 from hsvaos.evaluate.figures import curve_picture, lines_of
 from hsvaos.evaluate.measures import Evaluation, Rules
-from hsvaos.evaluate.operating import persons_from, widened, with_score
+from hsvaos.evaluate.operating import persons_from, widened
 from hsvaos.evaluate.poses import FROM_LOG, open_posed, own_file
 from hsvaos.evaluate.results import FlightResult
 from hsvaos.evaluate.store import Stored, fingerprint, load, save
@@ -91,7 +91,7 @@ def evaluate_paths(work: Work, console: Console) -> dict[str, Any]:
     if not work.settings.detect.enabled:
         raise ValueError("detect.enabled must be true to evaluate finds, got False")
     if work.rules.score is not None:
-        work = replace(work, settings=with_score(work.settings, work.rules.score))
+        work = replace(work, settings=work.settings.with_score(work.rules.score))
     rules = replace(work.rules, score=operating_score(work.settings.detect))
     check_writable(work.out, FILE_NAMES)
     check_writable(work.out / "flights")

@@ -22,12 +22,6 @@ _MOST = 100
 """Finds kept in a view, as COCO keeps them."""
 
 
-def with_score(settings: Settings, score: float) -> Settings:
-    """Return settings that report finds from a score on."""
-    name = "min_score" if settings.detect.method == "network" else "min_z"
-    return settings.with_values(detect={name: score})
-
-
 def widened(settings: Settings) -> Settings:
     """Return settings that keep weaker finds too, so that curves do not end where reports do."""
     detect = settings.detect
