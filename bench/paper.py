@@ -242,7 +242,7 @@ def _file(results: Path, flight: str, track: str, method: str) -> Path:
 
 
 def pose_errors(flights: Path, results: Path) -> None:
-    """Write root-mean-square errors of all flights: horizontal, down [m]; roll, pitch, yaw [deg]."""
+    """Write root-mean-square errors of all flights: horizontal, down [m]; attitude [deg]."""
     tracks: dict[str, list[np.ndarray]] = {}
     for folder in sorted(p for p in flights.iterdir() if (p / "poses_ekf.csv").exists()):
         flight = hsvaos.open_flight(folder)

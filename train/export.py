@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -27,20 +28,24 @@ def export(net: PersonNet, path: Path, score_threshold: float, story: dict[str, 
     whole = Exported(net).eval()
     example = torch.zeros(1, len(CHANNELS), 4 * MULTIPLE, 6 * MULTIPLE)
     part = path.with_name(path.name + ".part")
-    torch.onnx.export(
-        whole,
-        (example,),
-        str(part),
-        input_names=["input"],
-        output_names=["boxes", "scores"],
-        dynamic_axes={
-            "input": {0: "batch", 2: "height", 3: "width"},
-            "boxes": {0: "batch", 1: "cells"},
-            "scores": {0: "batch", 1: "cells"},
-        },
-        opset_version=_OPSET,
-        dynamo=False,
-    )
+    with warnings.catch_warnings():
+        warnings.simplefilter(
+            "ignore"
+        )  # torch would rather export in its new way, which needs more
+        torch.onnx.export(
+            whole,
+            (example,),
+            str(part),
+            input_names=["input"],
+            output_names=["boxes", "scores"],
+            dynamic_axes={
+                "input": {0: "batch", 2: "height", 3: "width"},
+                "boxes": {0: "batch", 1: "cells"},
+                "scores": {0: "batch", 1: "cells"},
+            },
+            opset_version=_OPSET,
+            dynamo=False,
+        )
     model = onnx.load(str(part))
     low, high = TRAINED_GSD_M
     facts = {

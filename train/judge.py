@@ -20,7 +20,7 @@ REACHED = 1.5
 """Unoccluded rays a point from which a person is to be found; others are ignored."""
 
 _FLOOR = 0.02
-_NMS = 0.45
+_NMS = 0.25
 
 
 def finds(net: nn.Module, whole: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

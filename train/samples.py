@@ -13,7 +13,7 @@ from hsvaos.detect.network_input import TRAINED_GSD_M, network_input
 from train.maps import HUE_FOOTPRINT, PLANES, RARITY_MAP, RAYS
 
 CROP_PX = 256
-LEAST_RAYS = 0.9
+LEAST_RAYS = 1.5
 """People with fewer unoccluded rays a point are neither wanted nor forbidden."""
 
 LEAST_RAYS_SEEN = 3.0
@@ -114,6 +114,8 @@ def _look(layers: NDArray[np.float32], colour: bool, rng: np.random.Generator) -
     image = np.moveaxis(layers[PLANES[kind]], 0, 2)
     plain = np.moveaxis(layers[PLANES["plain"]], 0, 2)
     rays, rarity = layers[RAYS], layers[RARITY_MAP]
+    if kind == "hue":  # no sample is not black
+        image = np.where(layers[HUE_FOOTPRINT, ..., None] > 0.0, image, np.float32(np.nan))
     alone = rng.uniform() < (0.25 if colour else 0.6)
     if not alone:
         if kind == "hue" and rng.uniform() < 0.3:
@@ -134,12 +136,13 @@ def _look(layers: NDArray[np.float32], colour: bool, rng: np.random.Generator) -
     if not colour or rng.uniform() < 0.4:
         grey = image @ rng.dirichlet(np.ones(3)).astype(np.float32)
         if rng.uniform() < 0.4:  # white hot and black hot
-            grey = grey.max() - grey
+            grey = np.nanmax(grey, initial=0.0) - grey
         image = np.repeat(grey[..., None], 3, axis=2)
     elif rng.uniform() < 0.5:
         image = image[..., rng.permutation(3)]
     if rng.uniform() < 0.3:
-        image = cv2.GaussianBlur(image, (0, 0), float(rng.uniform(0.4, 1.4)))
+        blurred = cv2.GaussianBlur(np.nan_to_num(image), (0, 0), float(rng.uniform(0.4, 1.4)))
+        image = np.where(np.isnan(image), image, blurred)
     if rng.uniform() < 0.3:
         image = 255.0 * np.power(np.clip(image / 255.0, 0.0, 1.0), rng.uniform(0.6, 1.6))
     image[layers[RAYS] <= 0.0] = np.nan if rng.uniform() < 0.5 else 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -120,7 +121,8 @@ class OwnFeed:
     Args:
         network: The network.
         layout: Its layout.
-        slice_px: Largest side of windows; by default 2048 or the size of the input.
+        slice_px: Largest side of windows; by default 2048 or the size of the input; 0: no windows
+            where the network takes any size.
 
     Raises:
         ValueError: If its metadata make no sense.
@@ -130,7 +132,9 @@ class OwnFeed:
         self._stride = _stride(network)
         self.score = _threshold(network, layout.score)
         self._fixed = network.picture.shape[2:]
-        height, width = (size or _OWN_SIDE for size in self._fixed)
+        height, width = (
+            size or (sys.maxsize if slice_px == 0 else _OWN_SIDE) for size in self._fixed
+        )
         if slice_px:
             height, width = min(slice_px, height), min(slice_px, width)
         self._side = height, width

@@ -66,10 +66,11 @@ class Network:
         self.name = "model" if isinstance(model, bytes) else str(model)
         content = model if isinstance(model, bytes) else _read(Path(model))
         wanted = _providers(provider)
-        options = ort.SessionOptions()
-        options.log_severity_level = 4  # what goes wrong is said here, in our words
         try:
-            self._session = ort.InferenceSession(content, options, providers=wanted)
+            self._session = _started(content, wanted)
+            self.inputs = tuple(_port(one) for one in self._session.get_inputs())
+            self.outputs = tuple(_port(one) for one in self._session.get_outputs())
+            self.metadata: dict[str, str] = dict(self._session.get_modelmeta().custom_metadata_map)
         except Exception as error:  # onnxruntime's errors have no class in common
             raise ValueError(
                 f"{self.name}: expected an ONNX network, onnxruntime says: {_short(error)}"
@@ -87,9 +88,6 @@ class Network:
             self.notes = (f"{missing} could not be started, the network runs on {self.provider}",)
             _log.warning(self.notes[0])
         _log.info("%s runs on %s", self.name, self.provider)
-        self.inputs = tuple(_port(one) for one in self._session.get_inputs())
-        self.outputs = tuple(_port(one) for one in self._session.get_outputs())
-        self.metadata: dict[str, str] = dict(self._session.get_modelmeta().custom_metadata_map)
 
     @property
     def picture(self) -> Port:
@@ -130,6 +128,19 @@ class Network:
             port.name: np.asarray(value, np.float32) if port.dtype == "tensor(float16)" else value
             for port, value in zip(self.outputs, results, strict=True)
         }
+
+
+def _started(content: bytes, providers: list[str]) -> Any:
+    """A session on the first of the providers that can be started."""
+    options = ort.SessionOptions()
+    options.log_severity_level = 4  # what goes wrong is said here, in our words
+    try:
+        # onnxruntime's own way back to the CPU prints
+        return ort.InferenceSession(content, options, providers=providers, enable_fallback=0)
+    except Exception:  # onnxruntime's errors have no class in common
+        if len(providers) == 1:
+            raise
+        return _started(content, providers[1:])
 
 
 def _read(path: Path) -> bytes:

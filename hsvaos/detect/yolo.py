@@ -41,7 +41,8 @@ class Detector:
         layout: "auto", or a name in `layouts.LAYOUTS` where the network does not tell.
         score: Least score, 0..1; by default the one that belongs to the weights, or 0.25 for the
             YOLO families and 0.5 for RF-DETR and D-FINE.
-        iou: Overlap from which two boxes are one person, 0..1.
+        iou: Overlap from which two boxes are one person, 0..1; by default 0.25 for our own
+            networks and 0.45 for others.
         person_class: Number or name of the class that is the person; by default by its name.
         size_px: Side of the input of networks that take any size and scale pictures to it; by
             default as trained, else 640.
@@ -63,7 +64,7 @@ class Detector:
         layout: str = "auto",
         *,
         score: float | None = None,
-        iou: float = 0.45,
+        iou: float | None = None,
         person_class: int | str | None = None,
         size_px: int | None = None,
         slice_px: int | None = None,
@@ -87,7 +88,7 @@ class Detector:
         self.notes = self._network.notes
         if names is None and count is None and person_class is None:
             self.notes += ("the network names no classes: class 0 is taken for people, as in COCO",)
-        self._iou = _share(iou, "iou")
+        self._iou = self._layout.iou if iou is None else _share(iou, "iou")
         self._most = _count(max_finds, "max_finds", 1)
         side = None if size_px is None else _count(size_px, "size_px", 32)
         part = None if slice_px is None else _count(slice_px, "slice_px", 0)

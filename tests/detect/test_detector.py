@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 import cv2
@@ -10,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import hsvaos.detect.network as network
 import hsvaos.detect.yolo as yolo
 from hsvaos import Detector
 from hsvaos.detect.fitting import as_bytes
@@ -118,7 +120,7 @@ def test_large_views_of_our_own_are_cut() -> None:
     places = [(16, 16), (336, 240), (640, 464), (304, 0), (100, 300)]
     for row, column in places:
         image[row : row + 32, column : column + 32] = (190.0, 60.0, 50.0)
-    whole = Detector(own_net(RED_CONTRAST, -3.0)).detect(image)
+    whole = Detector(own_net(RED_CONTRAST, -3.0), slice_px=0).detect(image)
     for cut in (
         Detector(own_net(RED_CONTRAST, -3.0), slice_px=300),
         Detector(own_net(RED_CONTRAST, -3.0, dynamic=False)),
@@ -323,6 +325,49 @@ def test_provider_is_said_aloud(caplog: pytest.LogCaptureFixture) -> None:
         detector = Detector(own_net([0.0] * 8), provider="cpu")
     assert detector.provider == "cpu"
     assert "runs on cpu" in caplog.text
+
+
+class Session:
+    """Stands for onnxruntime where CUDA is offered but cannot be started."""
+
+    def __init__(self, content: bytes, options: object, providers: list[str], **_: object) -> None:
+        if self.raises and "CUDAExecutionProvider" in providers:
+            raise RuntimeError("no CUDA-capable device")
+        self._real = real_session(content, options, providers=["CPUExecutionProvider"])
+
+    raises = True
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._real, name)
+
+
+real_session = network.ort.InferenceSession
+
+
+@pytest.mark.parametrize("raises", [True, False])
+def test_gpu_that_cannot_be_started_is_said_aloud(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, raises: bool
+) -> None:
+    offered = ["TensorrtExecutionProvider", "CUDAExecutionProvider", "CPUExecutionProvider"]
+    monkeypatch.setattr(network.ort, "get_available_providers", lambda: offered)
+    monkeypatch.setattr(network.ort, "InferenceSession", Session)
+    monkeypatch.setattr(Session, "raises", raises)
+    detector = Detector(own_net([0.0] * 8))
+    assert detector.provider == "cpu"
+    assert detector.notes == ("cuda could not be started, the network runs on cpu",)
+    assert "cuda could not be started" in caplog.text
+    with pytest.raises(ValueError, match=r"cuda|CUDA"):
+        Detector(own_net([0.0] * 8), provider="cuda")
+
+
+@given(seed=st.integers(0, 10**6))
+def test_damaged_networks_work_or_say_why(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    content = bytearray(own_net(RED_CONTRAST))
+    for _ in range(int(rng.integers(1, 6))):
+        content[rng.integers(len(content))] = rng.integers(256)
+    with contextlib.suppress(ValueError):
+        Detector(bytes(content)).detect(np.zeros((20, 30, 3), np.uint8))
 
 
 def test_input_is_what_training_prepares() -> None:
