@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import threading
 from dataclasses import replace
 from html import escape
@@ -51,8 +52,7 @@ class PlainApp:
         class Handler(_Handler):
             app = self
 
-        self._server = ThreadingHTTPServer((host, free_port(host, port)), Handler)
-        self._server.daemon_threads = True
+        self._server = _Server((host, free_port(host, port)), Handler)
         self.host, self.port = host, int(self._server.server_address[1])
         self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
         self._thread.start()
@@ -148,6 +148,15 @@ class PlainApp:
         return outcome[0] if outcome else None
 
 
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Say nothing of browsers that leave in the middle of an answer."""
+        if not isinstance(sys.exception(), (ConnectionError, TimeoutError)):
+            super().handle_error(request, client_address)
+
+
 class _Handler(BaseHTTPRequestHandler):
     """One request of a browser."""
 
@@ -175,8 +184,6 @@ class _Handler(BaseHTTPRequestHandler):
         except (ValueError, TypeError) as error:
             text = " ".join(str(error).split())
             self._send(text.encode(), "text/plain; charset=utf-8", HTTPStatus.BAD_REQUEST)
-        except (ConnectionError, TimeoutError):  # the browser has gone in the middle of it
-            self.close_connection = True
 
     def _picture(self, values: dict[str, str]) -> None:
         picture = self.app.picture(self.app.request(values), values.get("tab", ""))

@@ -58,6 +58,19 @@ class Picture:
     ms: float
     note: str
 
+    def summary(self, session: Session) -> str:
+        """Return the status line, as Markdown.
+
+        Args:
+            session: Where the picture comes from.
+        """
+        coarse = "" if self.quality.full else f", coarse ({self.quality.scale:.0%})"
+        note = f"\n\n**{self.note}**" if self.note else ""
+        return (
+            f"{self.frames} of {len(session.flight)} photos, {self.ms:.0f} ms, "
+            f"{session.device.alias}, {self.view.width} x {self.view.height} px{coarse}{note}"
+        )
+
 
 def render(session: Session, request: Request, quality: Quality, wanted: Wanted) -> Picture:
     """Render a picture; see `Session.render`."""

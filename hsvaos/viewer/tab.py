@@ -118,7 +118,7 @@ class Tab:
     def _deliver(self, picture: Picture) -> None:
         def put() -> None:
             self.scene.put_picture(picture)
-            self.controls.status.content = self._status(picture)
+            self.controls.status.content = picture.summary(self.session)
 
         self.tell(put)
         if picture.quality.full:
@@ -140,16 +140,6 @@ class Tab:
                 self.actions.show_finds(request, wanted)
 
         return job
-
-    def _status(self, picture: Picture) -> str:
-        quality = picture.quality
-        coarse = "" if quality.full else f", coarse ({quality.scale:.0%})"
-        size = f"{picture.view.width} x {picture.view.height} px"
-        note = f"\n\n**{picture.note}**" if picture.note else ""
-        return (
-            f"{picture.frames} of {len(self.session.flight)} photos, {picture.ms:.0f} ms, "
-            f"{self.session.device.alias}, {size}{coarse}{note}"
-        )
 
     def failed(self, error: Exception) -> None:
         """Show what went wrong; the picture before it stays."""

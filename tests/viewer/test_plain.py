@@ -95,12 +95,15 @@ def test_other_paths_are_not_found(app: PlainApp) -> None:
         assert get(app, path)[0] == 404
 
 
-def test_a_client_that_leaves_in_the_middle_of_a_picture(app: PlainApp) -> None:
+def test_a_client_that_leaves_in_the_middle_of_a_picture(
+    app: PlainApp, capfd: pytest.CaptureFixture[str]
+) -> None:
     for _ in range(5):
         with socket.create_connection((app.host, app.port)) as line:
             line.sendall(b"GET /picture.png?photo=3 HTTP/1.1\r\nHost: x\r\n\r\n")
             line.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
     assert get(app, "/picture.jpg", down=0.0)[0] == 200
+    assert capfd.readouterr().err == ""
 
 
 def test_a_taken_port_moves_on(session: Session) -> None:
