@@ -176,6 +176,12 @@ def _until(condition: Callable[[], object], seconds: float = 120.0) -> None:
         time.sleep(0.01)
 
 
+def test_dragging() -> None:
+    """See that it runs; the figures come from `main`."""
+    row = drag(session(6, 64, "cpu"), (64, 36), 0.5, sigmas=False)
+    assert row["pictures/s"] > 0.0
+
+
 def main() -> None:
     """Measure and print a table."""
     parser = argparse.ArgumentParser(description=__doc__)
