@@ -30,8 +30,8 @@ from hsvaos.viewer.render import Picture
 from hsvaos.viewer.request import Aperture, Focus, Look, Request
 from hsvaos.viewer.session import Session
 
-WARM_UP_S = 90.0
-"""Until every kind of mask has been there once, and with it the caches are full."""
+WARM_UP_S = 120.0
+"""Before memory counts: until the caches are full and the allocator knows all sizes of pictures."""
 
 CHECK_EVERY_S = 20.0
 SETTLE_S = 60.0
@@ -76,10 +76,12 @@ class Watch:
         third = max(1, len(memory) // 3)
         early, late = float(np.median(memory[:third])), float(np.median(memory[-third:]))
         growth = late / early - 1.0
+        parts = [part.mean() for part in np.array_split(memory, 10) if part.size]
+        tenths = " ".join(f"{part:.0f}" for part in parts)
         sys.stdout.write(
             f"{minutes:g} minutes, {self.pictures} pictures, {self.checks} compared, "
             f"{len(self.errors)} errors; memory {early:.0f} MB early, {late:.0f} MB late "
-            f"({100 * growth:+.1f} %), least {memory.min():.0f}, most {memory.max():.0f}\n"
+            f"({100 * growth:+.1f} %), by tenths {tenths}\n"
         )
         for error in self.errors[:10]:
             sys.stdout.write(f"  {error}\n")
@@ -118,8 +120,7 @@ def with_browser(session: Session, seconds: float, watch: Watch, seed: int) -> b
                 _drag_one(shown, rng)
                 _change_one(tab.controls, rng, len(session.flight))
                 now = time.monotonic()
-                if now - start > WARM_UP_S:
-                    watch.memory.append(resident_mb())
+                watch.memory.append(resident_mb())
                 if now - checked > CHECK_EVERY_S:
                     end = time.monotonic() + SETTLE_S
                     while app.live.busy(tab) and time.monotonic() < end:
@@ -207,14 +208,23 @@ def without_browser(session: Session, seconds: float, watch: Watch, seed: int) -
         live.show("tab", asked, deliver, watch.failed)
         time.sleep(rng.uniform(0.005, 0.05))
         now = time.monotonic()
-        if now - start > WARM_UP_S:
-            watch.memory.append(resident_mb())
+        watch.memory.append(resident_mb())
         if now - checked > CHECK_EVERY_S:
             while live.busy("tab"):
                 time.sleep(0.05)
             watch.check(session, asked, latest[0] if latest else None)
             checked = time.monotonic()
     live.close()
+
+
+def _fill(session: Session) -> None:
+    """Let the session keep as many masks as it ever will."""
+    view = session.flight.view(0)
+    for method in METHODS:
+        for sigmas in (1.0, 1.5, 2.5, 3.0):
+            mask = replace(session.settings.mask, method=method, sigmas=sigmas)
+            session.render(Request(view, session.start, mask=mask))
+            session.finds(Request(view, session.start, mask=mask))
 
 
 def main() -> None:
@@ -229,6 +239,9 @@ def main() -> None:
     watch = Watch()
     session = Session.open(hsvaos.open_flight(options.flight))
     seconds = 60.0 * options.minutes
+    _fill(session)
+    without_browser(session, min(seconds, WARM_UP_S), watch, options.seed + 1)
+    watch.memory.clear()
     if options.no_browser or not with_browser(session, seconds, watch, options.seed):
         without_browser(session, seconds, watch, options.seed)
     sys.exit(watch.report(options.minutes))

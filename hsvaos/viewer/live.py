@@ -8,13 +8,15 @@ from collections.abc import Callable, Hashable
 from time import monotonic
 
 from hsvaos.viewer.pace import Pace, Quality
-from hsvaos.viewer.render import Picture
+from hsvaos.viewer.render import PREVIEW_FRAMES, Picture
 from hsvaos.viewer.request import Request
 from hsvaos.viewer.session import Session
 from hsvaos.viewer.weights import Abandoned, Wanted
 
 STILL_S = 0.2
 """Time without a new request after which a picture is drawn in full."""
+
+_PREVIEW_SCALE = 0.75
 
 
 class Ticket:
@@ -279,10 +281,11 @@ class Live:
     def _quality(self, request: Request) -> Quality:
         if not request.moving:
             return Quality()
-        frames = len(self.session.frames(request))
-        quality = self.pace.quality(request.view.width * request.view.height, frames)
         mask, weights = request.mask, self.session.weights
         kind = "rarity_map" if request.layer == "rarity" else weights.kind_of(mask.method)
-        if quality.full and not weights.has(kind, mask):
-            return Quality(0.75)  # a preview by masks of some shrunk photos
-        return quality
+        pixels, frames = request.view.width * request.view.height, self.session.frames(request)
+        if weights.has(kind, mask):
+            return self.pace.quality(pixels, len(frames))
+        # masks of a few shrunk photos: no use in drawing them sharper
+        quality = self.pace.quality(pixels, min(len(frames), PREVIEW_FRAMES))
+        return Quality(min(quality.scale, _PREVIEW_SCALE))

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 _BAND_RAYS = 4_000_000
 """Rays of a band of rows: between bands a picture that is no longer wanted gives up."""
 
-_PREVIEW_FRAMES = 16
+PREVIEW_FRAMES = 16
+"""Photos that a picture is made of while the masks of all are not ready."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +156,7 @@ class _Job:
         if self.quality.full or not frames or weights.has(kind, mask):
             integrator = weights.integrator(kind, mask, self.wanted)
         else:
-            some = frames[:: max(1, -(-len(frames) // _PREVIEW_FRAMES))]
+            some = frames[:: max(1, -(-len(frames) // PREVIEW_FRAMES))]
             integrator, chosen = weights.preview(kind, mask, tuple(some)), None
         start = perf_counter()
         image, footprint = integral(integrator, self.view, self.surface, chosen, self.wanted)

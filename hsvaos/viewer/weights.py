@@ -36,8 +36,12 @@ _BATCH_PX = 8_000_000
 _PREVIEW_PX = 900_000
 """Pixels of all photos together that a preview masks."""
 
+_BYTES_A_PIXEL = 8
+"""A brightened photo, its mask, and both packed by the integrator."""
+
 _CACHE_BYTES = 2_000_000_000
-_MOST_KEPT = 6
+_MOST_KEPT = 3
+"""Cuts of each kind that are kept: for tabs with settings of their own, and the way back."""
 
 _OF_HUE = ("sigmas", "statistics", "scope", "hue_from_deg", "hue_to_deg")
 _OF_KEEPING = ("keep_colours", "keep_distance")
@@ -87,8 +91,8 @@ class WeightCache:
         self._part: dict[str, tuple[Any, Integrator]] = {}
         self._small: tuple[tuple[int, ...], Photos] | None = None
         self._layers: dict[str, tuple[Any, Any]] = {}
-        size = int(photos.images.size)
-        self._kept = max(1, min(_MOST_KEPT, _CACHE_BYTES // max(1, 2 * size)))
+        pixels = int(np.prod(photos.images.shape[:3]))
+        self._kept = max(1, min(_MOST_KEPT, _CACHE_BYTES // (_BYTES_A_PIXEL * pixels)))
 
     @property
     def gains(self) -> NDArray[np.float64] | None:
@@ -112,18 +116,26 @@ class WeightCache:
                 )
             return self._histograms[statistics]
 
-    def hue_stats(self, mask: MaskSettings) -> list[HueStatistics]:
-        """Return the statistics that the hue cut of each photo follows; empty for grey photos."""
+    def hue_stats(self, mask: MaskSettings, frames: list[int] | None = None) -> list[HueStatistics]:
+        """Return the statistics that the hue cut of each photo follows; empty for grey photos.
+
+        Args:
+            mask: The settings.
+            frames: Numbers of the photos; None for all.
+        """
         if not self.photos.is_colour:
             return []
         histograms, chroma = self.histograms(mask.statistics)
+        chosen = list(range(len(chroma))) if frames is None else frames
         if mask.scope == "flight":
             histograms, chroma = histograms.sum(axis=0)[None], chroma.mean(keepdims=True)
+        else:
+            histograms, chroma = histograms[chosen], chroma[chosen]
         stats = [
             hue_statistics(row, float(mean), statistics=mask.statistics, sigmas=mask.sigmas)
             for row, mean in zip(histograms, chroma, strict=True)
         ]
-        return by_hand(mask, stats * (len(self.photos.flight) // len(stats)))
+        return by_hand(mask, stats * (len(chosen) // len(stats)))
 
     def kind_of(self, method: str) -> str:
         """Return the kind of weights of a mask method; grey photos have no hue to cut."""
@@ -171,7 +183,7 @@ class WeightCache:
             if kind not in self._part or self._part[kind][0] != key:
                 part = self._shrunk(frames)
                 chosen = list(frames)
-                stats = [self.hue_stats(mask)[i] for i in chosen] if kind == "hue" else []
+                stats = self.hue_stats(mask, chosen) if kind == "hue" else []
                 gains = None if self.gains is None else self.gains[chosen]
                 self._part[kind] = (key, _integrator(kind, part, mask, stats, gains))
             return self._part[kind][1]
