@@ -165,7 +165,7 @@ class DetectSettings:
     """
 
     enabled: bool = True
-    method: str = "rarity"
+    method: str = "network"
     inputs: str = "all"
     model: str | None = None
     layout: str = "auto"
