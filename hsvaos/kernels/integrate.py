@@ -264,15 +264,16 @@ class Integrator:
             raise ValueError(f"frames must be a list of frame numbers, got {frames!r}")
         if order.size and (order.min() < 0 or order.max() >= len(self)):
             raise ValueError(f"frames must lie in 0..{len(self) - 1}, got {order.tolist()}")
+        order = order.astype(np.int32)
         if aperture_m is None:
-            return order.astype(np.int32), _NO_LIMIT
+            return order, _NO_LIMIT
         if not aperture_m > 0.0:
             raise ValueError(f"aperture_m must be a positive radius, got {aperture_m!r}")
         if view.is_ortho:  # each point has an aperture of its own: the kernel measures
-            return order.astype(np.int32), float(aperture_m)
+            return order, float(aperture_m)
         away = self.world_from_camera[:, :2, 3] - view.world_from_camera[:2, 3]
         near = np.hypot(away[:, 0], away[:, 1]) <= aperture_m
-        return order[near[order]].astype(np.int32), _NO_LIMIT
+        return order[near[order]], _NO_LIMIT
 
 
 def check_view(view: Any) -> None:

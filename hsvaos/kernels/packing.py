@@ -25,7 +25,7 @@ class Packed:
     """Photos in one buffer, each with a border of one repeated pixel.
 
     Args:
-        words: Warp array, uint32, all frames behind one another.
+        words: Warp array, shape (N, words of a frame), uint32.
         form: What a pixel is; each part has 8, 16 or 32 bits:
             "rgb8" one word, R, G, B and weight, which is 0 or 255;
             "rgb16" two words, R, G, B times weight, and weight, as half floats;
@@ -62,7 +62,7 @@ class PackJob:
     frame_stride: int
     weight_scale: float
     weight_step: int
-    words: wp.array(dtype=wp.uint32)
+    words: wp.array2d(dtype=wp.uint32)
 
 
 _WORDS = {"rgb8": 1, "rgb16": 2, "grey16": 1, "grey32": 1, "grey32 weighted": 2}
@@ -136,7 +136,7 @@ def _pack_kernel(form: str, scalar: Any, weight: Any) -> Any:
 
     @wp.func_native(snippet)
     def pack_row(
-        row: int, job: PackJob, images: wp.array(dtype=scalar), weights: wp.array(dtype=stored)
+        row: int, job: PackJob, images: wp.array2d(dtype=scalar), weights: wp.array2d(dtype=stored)
     ): ...
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -144,8 +144,8 @@ def _pack_kernel(form: str, scalar: Any, weight: Any) -> Any:
         offset: int,
         band: int,
         job: PackJob,
-        images: wp.array(dtype=scalar),
-        weights: wp.array(dtype=stored),
+        images: wp.array2d(dtype=scalar),
+        weights: wp.array2d(dtype=stored),
     ):
         pack_row(wp.tid() + offset, job, images, weights)
 
@@ -176,7 +176,7 @@ def pack(stack: Stack, weights: Any, weight_unit: float) -> Packed | None:
     row = _row_stride(stack.width, 4 * _WORDS[form])
     frame = row * (stack.height + 2) + 5 * LINE // (4 * _WORDS[form])
     # the operating system gives NumPy's large arrays large pages: fewer misses of the TLB
-    buffer = np.empty(stack.count * frame * _WORDS[form], dtype=np.uint32)
+    buffer = np.empty((stack.count, frame * _WORDS[form]), dtype=np.uint32)
     words = wp.array(buffer, dtype=wp.uint32, device="cpu", copy=False)
     job = PackJob()
     job.width, job.height = stack.width, stack.height
@@ -186,8 +186,8 @@ def pack(stack: Stack, weights: Any, weight_unit: float) -> Packed | None:
     job.words = words
     inputs = [
         job,
-        pixel_view(stack.array, stack.scalar, (stack.array.size,)),
-        pixel_view(weights, weights.dtype, (weights.size,)),
+        pixel_view(stack.array, stack.scalar, (stack.count, stack.size * stack.channels)),
+        weights,
     ]
     kernel = _pack_kernel(form, stack.scalar, weight)
     launch(kernel, stack.count * (stack.height + 2), inputs, stack.device, ROW_GRAIN)

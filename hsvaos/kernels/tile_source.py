@@ -48,6 +48,12 @@ _TILE = Template("""{
         radius += (high[k] - middle[k]) * (high[k] - middle[k]);
     }
     radius = __builtin_sqrtf(radius);
+    if (radius > 1000.0f) {  // towards the horizon: exact for the near points, which count
+        for (int k = 0; k < 3; ++k) {
+            middle[k] = low[k] > 0.0f ? low[k] : (high[k] < 0.0f ? high[k] : 0.0f);
+        }
+        radius *= 2.0f;
+    }
     for (int i = 0; i < SIZE; ++i) {
         px[i] = live[i] > 0.0f ? px[i] - middle[0] : 0.0f;
         py[i] = live[i] > 0.0f ? py[i] - middle[1] : 0.0f;

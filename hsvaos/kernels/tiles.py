@@ -47,7 +47,7 @@ class TileJob:
     frame_stride: int
     weight_unit: float
     white: float
-    words: wp.array(dtype=wp.uint32)
+    words: wp.array2d(dtype=wp.uint32)
     image: wp.array(dtype=float)
     footprint: wp.array(dtype=float)
 
