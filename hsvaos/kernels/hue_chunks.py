@@ -37,7 +37,6 @@ _HUE = """
         hue = value == red ? (green - blue) * turn : hue;
         hue += hue < 0.0f ? 360.0f : 0.0f;
         hue -= hue >= 360.0f ? 360.0f : 0.0f;
-        hue = chroma > 0.0f ? hue : 0.0f;
         const bool good = $good;
 """
 
@@ -50,15 +49,18 @@ _CUT = Template("""{
     unsigned char* to = mask.data + start;
     #pragma clang loop vectorize(enable) vectorize_width(16)
     for (int i = 0; i < size; ++i) {
-        $hue
+        $cut
+        to[i] = (good & !cut) ? use[i] : 0;
+    }
+}""")
+
+_AWAY = """
         float away = hue - mean;
         away = away < 0.0f ? -away : away;
         const float other = 360.0f - away;
-        away = (circular != 0) & (other < away) ? other : away;
+        away = ((circular != 0) & (other < away)) ? other : away;
         const bool cut = (away <= half_width) & ((circular == 0) | (chroma > 0.0f));
-        to[i] = good & !cut ? use[i] : 0;
-    }
-}""")
+"""
 
 _COUNT = Template("""{
     #pragma clang fp contract(fast)
@@ -100,15 +102,21 @@ _COUNT = Template("""{
 }""")
 
 
-def _source(template: Template, pixel: Any) -> str:
-    source = _C_TYPE[pixel]
-    hue = Template(_HUE).substitute(good=_GOOD[source])
-    return template.substitute(source=source, chunk=CHUNK, bins=BINS, hue=hue)
+def hue_text(pixel: Any) -> str:
+    """Return C that takes pixel i at `from` to its `hue`, `chroma` and whether it is `good`."""
+    return Template(_HUE).substitute(good=_GOOD[_C_TYPE[pixel]])
+
+
+def cut_text(pixel: Any) -> str:
+    """Return C like `hue_text` that also tells whether to `cut` the pixel."""
+    return hue_text(pixel) + _AWAY
 
 
 @lru_cache
 def _cut_kernel(pixel: Any) -> Any:
-    @wp.func_native(_source(_CUT, pixel))
+    cut = _CUT.substitute(source=_C_TYPE[pixel], chunk=CHUNK, cut=cut_text(pixel))
+
+    @wp.func_native(cut)
     def cut_chunk(
         chunk: int,
         count: int,
@@ -141,7 +149,9 @@ def _cut_kernel(pixel: Any) -> Any:
 
 @lru_cache
 def _count_kernel(pixel: Any) -> Any:
-    @wp.func_native(_source(_COUNT, pixel))
+    count = _COUNT.substitute(source=_C_TYPE[pixel], chunk=CHUNK, bins=BINS, hue=hue_text(pixel))
+
+    @wp.func_native(count)
     def count_chunk(
         chunk: int,
         band: int,

@@ -53,6 +53,7 @@ class Integrator:
         device: "cpu", "cuda:0", ...; by default where the images lie.
         gains: Shape (N, 3), factors on R, G and B of each photo (the first one on grey); see
             `kernels.levels`; None for the photos as they are.
+        packed: These photos with these weights, packed before, by `kernels.hue_pack`.
 
     Raises:
         ValueError: If shapes do not fit the camera or each other, a pose holds no rotation, or the
@@ -69,6 +70,7 @@ class Integrator:
         device: Any = None,
         *,
         gains: Any = None,
+        packed: Packed | None = None,
     ) -> None:
         self.device = device_of(images, device)
         self.camera = camera
@@ -91,7 +93,7 @@ class Integrator:
         )
         self._gains = check_gains(gains, stack)
         self._weights, self._weight_unit = self._check_weights(weights)
-        self._packed: Any = _NOT_YET
+        self._packed: Any = _NOT_YET if packed is None else packed
         self._packing = Lock()
 
     def _without_gaps(self, weights: Any) -> Any:

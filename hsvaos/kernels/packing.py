@@ -173,17 +173,9 @@ def pack(stack: Stack, weights: Any, weight_unit: float) -> Packed | None:
     share = _weight_scale(form, weights, weight_unit) if form else None
     if form is None or share is None:
         return None
-    row = _row_stride(stack.width, 4 * _WORDS[form])
-    frame = row * (stack.height + 2) + 5 * LINE // (4 * _WORDS[form])
-    # the operating system gives NumPy's large arrays large pages: fewer misses of the TLB
-    buffer = np.empty((stack.count, frame * _WORDS[form]), dtype=np.uint32)
-    words = wp.array(buffer, dtype=wp.uint32, device="cpu", copy=False)
-    job = PackJob()
-    job.width, job.height = stack.width, stack.height
-    job.row_stride, job.frame_stride = row, frame
+    packed, job = empty_packed(stack, form, weight_unit=share[1])
     job.weight_scale = share[0]
     job.weight_step = int(weighted and weights.shape[0] > 1)
-    job.words = words
     inputs = [
         job,
         pixel_view(stack.array, stack.scalar, (stack.count, stack.size * stack.channels)),
@@ -191,8 +183,39 @@ def pack(stack: Stack, weights: Any, weight_unit: float) -> Packed | None:
     ]
     kernel = _pack_kernel(form, stack.scalar, weight)
     launch(kernel, stack.count * (stack.height + 2), inputs, stack.device, ROW_GRAIN)
-    white = {"rgb8": 255.0, "rgb16": 256.0 if stack.scalar is wp.uint8 else 65536.0}
-    return Packed(words, form, row, frame, share[1], white.get(form, 1.0))
+    return packed
+
+
+def empty_packed(
+    stack: Stack, form: str, like: Packed | None = None, weight_unit: float = 1.0 / 255.0
+) -> tuple[Packed, PackJob]:
+    """Return memory for packed photos, and the job of the kernel that fills it.
+
+    Args:
+        stack: The photos.
+        form: See `Packed`.
+        like: Packed photos to write over; None for new memory.
+        weight_unit: See `Packed`.
+
+    Raises:
+        ValueError: If `like` is not of the photos' number, size and form.
+    """
+    row = _row_stride(stack.width, 4 * _WORDS[form])
+    frame = row * (stack.height + 2) + 5 * LINE // (4 * _WORDS[form])
+    shape = (stack.count, frame * _WORDS[form])
+    if like is None:
+        # the operating system gives NumPy's large arrays large pages: fewer misses of the TLB
+        buffer = np.empty(shape, dtype=np.uint32)
+        words = wp.array(buffer, dtype=wp.uint32, device="cpu", copy=False)
+        white = {"rgb8": 255.0, "rgb16": 256.0 if stack.scalar is wp.uint8 else 65536.0}
+        like = Packed(words, form, row, frame, weight_unit, white.get(form, 1.0))
+    elif (tuple(like.words.shape), like.form, like.row) != (shape, form, row):
+        raise ValueError(f"photos must hold {shape} words of form {form}, got {like.words.shape}")
+    job = PackJob()
+    job.width, job.height = stack.width, stack.height
+    job.row_stride, job.frame_stride = row, frame
+    job.words = like.words
+    return like, job
 
 
 def _form(stack: Stack, weights: Any) -> str | None:
@@ -203,11 +226,11 @@ def _form(stack: Stack, weights: Any) -> str | None:
         return "grey16"
     if stack.scalar is wp.float32:
         return None
-    masked = weights is None or (weights.dtype is wp.uint8 and _is_mask(weights))
+    masked = weights is None or (weights.dtype is wp.uint8 and is_mask(weights))
     return "rgb8" if stack.scalar is wp.uint8 and masked else "rgb16"
 
 
-def _is_mask(weights: Any) -> bool:
+def is_mask(weights: Any) -> bool:
     """Whether bytes are only 0 and one other value, 1 or 255."""
     rows = (weights[i].numpy() for i in range(weights.shape[0]))
     return all(((row + np.uint8(1)) <= 2).all() for row in rows)

@@ -145,7 +145,7 @@ _TILE = Template("""{
                 }
             }
             if (turn > 0) {
-                const int half = (turn - 1 & 1) * SIZE;
+                const int half = ((turn - 1) & 1) * SIZE;
                 const float* f = m + start + seeing[turn - 1];
                 const $word* frame = (const $word*)job.words.data
                     + (size_t)__builtin_bit_cast(int, f[12 * count]) * job.frame_stride;
