@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from hsvaos.camera import VirtualCamera as VirtualCamera
     from hsvaos.detect.detections import Detections as Detections
     from hsvaos.detect.detections import Person as Person
+    from hsvaos.detect.yolo import Detector as Detector
     from hsvaos.flight import Flight as Flight
     from hsvaos.flight import FlightError as FlightError
     from hsvaos.flight import Frame as Frame
@@ -53,6 +54,7 @@ _HOME = {
     "Settings": "hsvaos.settings",
     "run": "hsvaos.pipeline",
     "Result": "hsvaos.result",
+    "Detector": "hsvaos.detect.yolo",
     "Detections": "hsvaos.detect.detections",
     "Person": "hsvaos.detect.detections",
     "Camera": "hsvaos.camera",

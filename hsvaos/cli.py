@@ -3,12 +3,35 @@
 from __future__ import annotations
 
 import json
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hsvaos.cli_options import (
+    Aperture,
+    Autofocus,
+    DetectOption,
+    Device,
+    FlightPath,
+    FocusDown,
+    Format,
+    Fov,
+    FrameMask,
+    GroundDown,
+    Json,
+    MaskOption,
+    Out,
+    Poses,
+    Scale,
+    Score,
+    SettingsFile,
+    Sigmas,
+    Terrain,
+    focus_of,
+    settings_of,
+)
+from hsvaos.detect import command as detection
 from hsvaos.nav.command import nav
 from hsvaos.simulate.command import simulate
 
@@ -26,46 +49,9 @@ app = typer.Typer(
 )
 
 
+app.command()(detection.detect)
 app.command()(nav)
 app.command()(simulate)
-
-
-class Mask(StrEnum):
-    """Names of the masks."""
-
-    hue = "hue"
-    rarity = "rarity"
-    anomaly = "anomaly"
-    none = "none"
-
-
-FlightPath = Annotated[Path, typer.Argument(metavar="FLIGHT", help="Folder of a flight.")]
-Out = Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for the results.")]
-Fov = Annotated[
-    float | None, typer.Option("--fov", metavar="DEG", help="Horizontal field of view of photos.")
-]
-Poses = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="poses.csv or poses.json to use instead.")
-]
-GroundDown = Annotated[
-    float | None,
-    typer.Option(metavar="M", help="Down of the ground, where the flight does not say it well."),
-]
-FrameMask = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Image of valid pixels; black is ignored.")
-]
-Format = Annotated[str | None, typer.Option(help="native, jku, dji or photos; guessed if absent.")]
-MaskOption = Annotated[Mask | None, typer.Option(help="How pixels are weighed. [default: hue]")]
-Sigmas = Annotated[float | None, typer.Option(help="Half width of the hue cut. [default: 2]")]
-Scale = Annotated[
-    float | None, typer.Option(help="Shrink photos by this factor while decoding. [default: 1]")
-]
-SettingsFile = Annotated[
-    Path | None,
-    typer.Option("--settings", metavar="FILE.toml", help="Settings; options here win over it."),
-]
-Device = Annotated[str, typer.Option(help="cpu, cuda:0, ...")]
-Json = Annotated[bool, typer.Option("--json", help="Print the outcome as JSON, no progress.")]
 
 
 @app.callback(invoke_without_command=True)
@@ -80,14 +66,20 @@ def _root(
 
 
 @app.command()
-def demo(out: Out = Path("hsvaos-demo"), device: Device = "cpu", as_json: Json = False) -> None:
+def demo(
+    out: Out = Path("hsvaos-demo"),
+    detect: DetectOption = None,
+    device: Device = "cpu",
+    as_json: Json = False,
+) -> None:
     """Run the whole chain on the small flight in the package: log, photos, finds, report."""
     from hsvaos.console import Console
     from hsvaos.demo import demo_flight
     from hsvaos.report.atomic import check_writable
 
     check_writable(out)
-    _run(demo_flight(), out, _settings(None), device, Console(quiet=as_json))
+    chosen = settings_of(None, detect={"method": detect})
+    _run(demo_flight(), out, chosen, device, Console(quiet=as_json))
 
 
 @app.command()
@@ -101,26 +93,20 @@ def run(
     frame_mask: FrameMask = None,
     mask: MaskOption = None,
     sigmas: Sigmas = None,
-    focus_down: Annotated[
-        float | None, typer.Option(metavar="M", help="Down of a horizontal focal plane.")
-    ] = None,
-    terrain: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Focal terrain: GeoTIFF, .obj or .npz.")
-    ] = None,
-    autofocus: Annotated[
-        bool, typer.Option("--autofocus", help="Search the plane where rare things are sharp.")
-    ] = False,
+    focus_down: FocusDown = None,
+    terrain: Terrain = None,
+    autofocus: Autofocus = False,
     view: Annotated[
         str | None,
-        typer.Option(metavar="FRAME|all|ortho", help="Virtual camera. [default: centre frame]"),
+        typer.Option(metavar="FRAME|all|ortho", help="Virtual camera. (default: centre frame)"),
     ] = None,
     gsd: Annotated[
         float | None, typer.Option(metavar="M", help="Metres a pixel of the ground grid.")
     ] = None,
-    aperture: Annotated[
-        float | None, typer.Option(metavar="M", help="Radius of the synthetic aperture.")
-    ] = None,
+    aperture: Aperture = None,
     scale: Scale = None,
+    detect: DetectOption = None,
+    score: Score = None,
     no_detect: Annotated[
         bool, typer.Option("--no-detect", help="Only make pictures, look for nobody.")
     ] = False,
@@ -133,18 +119,16 @@ def run(
     from hsvaos.formats.open import open_flight
     from hsvaos.report.atomic import check_writable
 
-    chosen = _settings(
+    chosen = settings_of(
         settings,
-        focus={
-            "down_m": focus_down,
-            "terrain": None if terrain is None else str(terrain),
-            "autofocus": autofocus or None,
-        },
-        mask={"method": None if mask is None else mask.value, "sigmas": sigmas},
+        focus=focus_of(focus_down, terrain, autofocus),
+        mask={"method": mask, "sigmas": sigmas},
         view={"frame": view, "gsd_m": gsd, "aperture_m": aperture},
         photos={"scale": scale},
-        detect={"enabled": False if no_detect else None},
+        detect={"method": detect, "enabled": False if no_detect else None},
     )
+    if score is not None:
+        chosen = chosen.with_score(score)
     check_writable(out)
     opened = open_flight(flight, None, poses, format, fov, ground_down, frame_mask)
     _run(opened, out, chosen, device, Console(quiet=as_json))
@@ -164,7 +148,7 @@ def sweep(
     mask: MaskOption = None,
     sigmas: Sigmas = None,
     view: Annotated[
-        str | None, typer.Option(metavar="FRAME", help="Virtual camera. [default: centre frame]")
+        str | None, typer.Option(metavar="FRAME", help="Virtual camera. (default: centre frame)")
     ] = None,
     size: Annotated[int, typer.Option(min=16, help="Longest side of the pictures.")] = 1024,
     scale: Scale = None,
@@ -179,9 +163,9 @@ def sweep(
     from hsvaos.report.sweep import write_sweep
     from hsvaos.sweeping import sweep_flight
 
-    chosen = _settings(
+    chosen = settings_of(
         settings,
-        mask={"method": None if mask is None else mask.value, "sigmas": sigmas},
+        mask={"method": mask, "sigmas": sigmas},
         view={"frame": view},
         photos={"scale": scale},
     )
@@ -199,6 +183,63 @@ def sweep(
     console.notes(stack.notes)
     typer.echo(stack.summary())
     typer.echo(f"look at {out / 'sweep.html'}")
+
+
+@app.command()
+def evaluate(
+    flights: Annotated[
+        list[Path], typer.Argument(metavar="FLIGHT...", help="Folders with truth.json.")
+    ],
+    out: Out,
+    poses: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE|nav",
+            help="Poses or a trajectory to use instead, a file in each flight's folder; nav: "
+            "those of the flight's sensor log.",
+        ),
+    ] = None,
+    mask: MaskOption = None,
+    sigmas: Sigmas = None,
+    focus_down: FocusDown = None,
+    terrain: Terrain = None,
+    autofocus: Autofocus = False,
+    aperture: Aperture = None,
+    scale: Scale = None,
+    detect: DetectOption = None,
+    score_threshold: Score = None,
+    iou: Annotated[
+        list[float] | None,
+        typer.Option(help="Least overlap; repeatable. (default: 0.10, 0.25 and 0.50)"),
+    ] = None,
+    radius: Annotated[
+        float, typer.Option(metavar="M", help="Greatest distance of a person found to the true.")
+    ] = 2.0,
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="Run flights again whose results are there already.")
+    ] = False,
+    settings: SettingsFile = None,
+    device: Device = "cpu",
+    as_json: Json = False,
+) -> None:
+    """Say how good the finds are on simulated flights: average precision, persons, false alarms."""
+    from hsvaos.console import Console
+    from hsvaos.evaluate.command import Work, evaluate_paths
+    from hsvaos.evaluate.measures import Rules
+
+    chosen = settings_of(
+        settings,
+        focus=focus_of(focus_down, terrain, autofocus),
+        mask={"method": mask, "sigmas": sigmas},
+        view={"aperture_m": aperture},
+        photos={"scale": scale},
+        detect={"method": detect},
+    )
+    rules = Rules(ious=tuple(iou) if iou else Rules().ious, score=score_threshold, radius_m=radius)
+    work = Work(tuple(flights), out, chosen, rules, poses, device, fresh)
+    outcome = evaluate_paths(work, Console(quiet=as_json))
+    if as_json:
+        typer.echo(json.dumps(outcome))
 
 
 @app.command()
@@ -259,20 +300,6 @@ def doctor(as_json: Json = False) -> None:
         typer.echo(section)
         for name, value in entries.items():
             typer.echo(f"  {name:24s}{value}")
-
-
-def _settings(path: Path | None, **tables: dict[str, Any]) -> Any:
-    """Settings of a file, or the defaults, with the options given on the command line."""
-    from hsvaos.settings import Settings
-
-    settings = Settings() if path is None else Settings.from_file(path)
-    focus = tables.get("focus", {})
-    if any(value is not None for value in focus.values()):  # one kind of focus replaces another
-        focus = {"down_m": None, "terrain": None, "autofocus": False} | {
-            name: value for name, value in focus.items() if value is not None
-        }
-        settings = settings.with_focus(focus)
-    return settings.with_values(**{name: t for name, t in tables.items() if name != "focus"})
 
 
 def _run(flight: Flight, out: Path, settings: Any, device: str, console: Any) -> None:

@@ -93,6 +93,16 @@ class Console:
                 f"note: {escape(note)}", style="yellow", highlight=False, soft_wrap=True
             )
 
+    def say(self, text: str) -> None:
+        """Print a line on how far the work is."""
+        self._err.print(escape(text), highlight=False, soft_wrap=True)
+
+    def show(self, *parts: Any) -> None:
+        """Print an outcome: tables, or lines as they are."""
+        for part in parts:
+            shown = escape(part) if isinstance(part, str) else part
+            self._out.print(shown, highlight=False, soft_wrap=isinstance(part, str))
+
     def result(self, result: Result, out: Path) -> None:
         """Print the finds of a run and where to look."""
         self.notes(result.notes)

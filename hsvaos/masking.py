@@ -62,7 +62,7 @@ def make_masks(photos: Photos, settings: Settings, progress: Progress | None = N
 
     Args:
         photos: The photos.
-        settings: The settings; `mask.method` decides only whether RX masks are made too.
+        settings: The settings; the methods only decide whether RX masks are made too.
         progress: Told of every step.
     """
     step = _Steps(progress)
@@ -94,7 +94,7 @@ def make_masks(photos: Photos, settings: Settings, progress: Progress | None = N
     )
     step("weighing rarity")
     anomaly = None
-    if mask.method == "anomaly":
+    if "anomaly" in (mask.method, settings.detect.method):
         anomaly, _ = rx_masks(images, mask.anomaly_quantile, valid=valid)
     step("finding anomalies")
     brightened = None

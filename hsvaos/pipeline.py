@@ -7,6 +7,7 @@ from time import perf_counter
 from typing import Any
 
 from hsvaos.detect.locate import merge_views
+from hsvaos.finding import make_finder
 from hsvaos.flight import Flight
 from hsvaos.focusing import choose_surface, without_parallax
 from hsvaos.kernels.device import resolve_device
@@ -66,7 +67,9 @@ def run(
         focus_notes = (*focus_notes, still)
     clock("focus")
     views, shown = choose_views(photos.flight, settings.view, surface)
-    renderer = Renderer(by, settings, surface)
+    finder = make_finder(settings.detect, len(photos.flight))
+    renderer = Renderer(by, settings, surface, finder)
+    renderer = renderer.with_ground_for(photos.flight, [view for _, view in views])
     main, main_finds = renderer.render(*views[shown], extra=True)
     finds, detections = [], []
     for i, (name, view) in enumerate(views):
@@ -78,9 +81,8 @@ def run(
         if progress is not None:
             progress("integrating", i + 1, len(views))
     clock("integrate and detect")
-    detect = settings.detect
-    least = detect.min_z * detect.min_agreement
-    persons = merge_views(finds, detect.person_m, least, photos.flight.origin)
+    least = 0.0 if finder is None else finder.least_score
+    persons = merge_views(finds, settings.detect.person_m, least, photos.flight.origin)
 
     frames = photos.flight.frames
     names = [frame.name for frame in frames]

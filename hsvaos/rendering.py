@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -9,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hsvaos.camera import VirtualCamera
-from hsvaos.detect.anomaly import find_persons
 from hsvaos.detect.detections import Detections
 from hsvaos.detect.locate import ViewFinds, box_places
-from hsvaos.flight import FlightError
+from hsvaos.finding import Finder
+from hsvaos.flight import Flight, FlightError
+from hsvaos.ground_map import GroundMap, Layer, grid_for, integrate_ground
 from hsvaos.kernels.integrate import Integrator
 from hsvaos.kernels.packing import Packed
 from hsvaos.kernels.rays import focal_points
@@ -33,6 +35,7 @@ class Integrators:
         rarity: Weighed by rarity.
         hue: Weighed by the hue cut; None for grey photos.
         rarity_map: The rarity weights themselves, integrated as an image.
+        anomaly_map: The RX masks integrated as an image; None unless they were made.
     """
 
     plain: Integrator
@@ -40,6 +43,7 @@ class Integrators:
     rarity: Integrator
     hue: Integrator | None
     rarity_map: Integrator
+    anomaly_map: Integrator | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,11 +54,27 @@ class Renderer:
         by: The integrators.
         settings: The settings.
         surface: The focal surface.
+        finder: Looks for people in a view; None to look for nobody.
+        ground: Integrated ground from which views are drawn; None to integrate every view.
     """
 
     by: Integrators
     settings: Settings
     surface: FocalSurface
+    finder: Finder | None = None
+    ground: GroundMap | None = None
+
+    def with_ground_for(self, flight: Flight, views: Sequence[VirtualCamera]) -> Renderer:
+        """Return a renderer that integrates the ground once, where that can stand for all views.
+
+        Args:
+            flight: The flight, with poses.
+            views: All views to come.
+        """
+        grid = grid_for(flight, views, self.surface, self.settings.view)
+        if grid is None:
+            return self
+        return replace(self, ground=integrate_ground(grid, self._needed(), self._integrate))
 
     def render(
         self, name: str, view: VirtualCamera, extra: bool = False
@@ -69,53 +89,56 @@ class Renderer:
         Raises:
             FlightError: If the view sees nothing, or every pixel of it is masked.
         """
-        mean_weight, rays = self._integrate(self.by.rarity_map, view)
+        hits = focal_points(view, self.surface, device=self.by.plain.device).numpy()
+        hits = hits.reshape(view.height, view.width, 4)
+        layers = self._layers(view, hits, exactly=extra)
+        mean_weight, rays = layers["rarity_map"]
         if not (rays > 0.0).any():
             raise FlightError(
                 f"view {name}: no photo sees the focal surface there; expected a surface below "
                 f"the cameras and within their view"
             )
-        image, footprint = self._integrate(self.by.chosen, view)
+        image, footprint = layers["chosen"]
         if not (footprint > 0.0).any():
             raise FlightError(
                 f"view {name}: every pixel is masked (mask {self.settings.mask.method}); use fewer "
                 f"sigmas, another --mask, or check the user mask"
             )
-        rarity_map = mean_weight[..., 0]
-        hits = focal_points(view, self.surface, device=self.by.plain.device).numpy()
-        hits = hits.reshape(view.height, view.width, 4)
-        found = self._find(view, hits, rarity_map, rays)
-        places, variances = box_places(found, hits, view)
+        found = Detections.none()
+        if self.finder is not None:
+            found = self.finder(layers, sampling_distance(view, hits))
+        places = box_places(found, hits, view)
         others = self._others(view) if extra else {}
-        result = ViewResult(name, view, image, footprint, rarity_map, rays, found, others)
-        return result, ViewFinds(view, found, places, variances)
+        result = ViewResult(name, view, image, footprint, mean_weight[..., 0], rays, found, others)
+        return result, ViewFinds(view, found, *places)
 
-    def _integrate(self, integrator: Integrator, view: VirtualCamera) -> tuple[Any, Any]:
+    def _needed(self) -> tuple[str, ...]:
+        looked_at = self.finder.layers if self.finder is not None else ()
+        return (
+            "rarity_map",
+            "chosen",
+            *(n for n in looked_at if n not in ("rarity_map", "chosen")),
+        )
+
+    def _layers(
+        self, view: VirtualCamera, hits: NDArray[np.float32], *, exactly: bool
+    ) -> dict[str, Layer]:
+        if self.ground is not None and not exactly:
+            return self.ground.seen_from(view, hits)
+        return {name: self._integrate(name, view) for name in self._needed()}
+
+    def _integrate(self, name: str, view: VirtualCamera) -> Layer:
+        integrator: Integrator = getattr(self.by, name)
         image, footprint = integrator.integrate(
             view, self.surface, aperture_m=self.settings.view.aperture_m
         )
         return image.numpy(), footprint.numpy()
 
-    def _find(
-        self,
-        view: VirtualCamera,
-        hits: NDArray[np.float32],
-        rarity_map: NDArray[np.float32],
-        rays: NDArray[np.float32],
-    ) -> Detections:
-        detect = self.settings.detect
-        if not detect.enabled:
-            return Detections.none()
-        gsd = sampling_distance(view, hits)
-        enough = min(detect.min_rays, 0.5 * len(self.by.plain))
-        return find_persons(rarity_map, rays, gsd, replace(detect, min_rays=enough))
-
     def _others(self, view: VirtualCamera) -> dict[str, tuple[Any, Any]]:
-        named = {"plain": self.by.plain, "hue": self.by.hue, "rarity": self.by.rarity}
         return {
-            name: self._integrate(integrator, view)
-            for name, integrator in named.items()
-            if integrator is not None and integrator is not self.by.chosen
+            name: self._integrate(name, view)
+            for name in ("plain", "hue", "rarity")
+            if getattr(self.by, name) not in (None, self.by.chosen)
         }
 
 
@@ -147,7 +170,10 @@ def make_integrators(photos: Photos, masks: Masks, method: str) -> Integrators:
     if masks.anomaly is not None:
         by_name["anomaly"] = weighed(photos.images, masks.anomaly, masks.gains)
     chosen = by_name.get(method) or plain
-    return Integrators(plain, chosen, rarity, hue, weighed(masks.rarity, photos.valid))
+    odd = None
+    if masks.anomaly is not None:
+        odd = weighed(masks.anomaly, photos.valid)
+    return Integrators(plain, chosen, rarity, hue, weighed(masks.rarity, photos.valid), odd)
 
 
 def sampling_distance(view: VirtualCamera, hits: NDArray[np.float32]) -> float:

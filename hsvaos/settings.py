@@ -12,6 +12,7 @@ from types import UnionType
 from typing import Any, get_args, get_type_hints
 
 MASKS = ("hue", "rarity", "anomaly", "none")
+DETECTORS = ("network", "rarity", "anomaly")
 
 _MOST_STEPS = 10_000
 _MOST_SMOOTHING_BINS = 40.0
@@ -146,15 +147,29 @@ class DetectSettings:
 
     Args:
         enabled: Whether to look for finds.
-        min_z: Local z of the rarity map from which a peak is a find.
+        method: "network" (the person network), or peaks without weights: "rarity" of the rarity
+            map, "anomaly" of the share of rays that RX calls anomalous.
+        inputs: What the network is shown: "all" (the rarity-weighted and the plain integral image,
+            the rarity map and the number of rays) or "image" (only the integral image of the
+            chosen mask, as in the paper).
+        model: File of another network (ONNX); by default the one in the package.
+        layout: What its outputs mean, see `hsvaos.Detector`.
+        min_score: Score of the network from which a box is a find; by default the model's own.
+        min_z: Local z from which a peak is a find.
         person_m: Length of a person, the size of a find's surround and of its box [m].
-        min_rays: Rays a pixel needs to be judged; half the number of photos is always enough.
+        min_rays: Rays a pixel needs to be judged by peaks; half the number of photos is always
+            enough.
         max_finds: Strongest finds kept in a view.
-        min_agreement: Share of min_z that a person's score, the mean over all views that hold its
-            place, must reach.
+        min_agreement: Share of min_score or min_z that a person's score, the mean over all views
+            that hold its place, must reach.
     """
 
     enabled: bool = True
+    method: str = "network"
+    inputs: str = "all"
+    model: str | None = None
+    layout: str = "auto"
+    min_score: float | None = None
     min_z: float = 6.0
     person_m: float = 1.8
     min_rays: float = 6.0
@@ -163,6 +178,10 @@ class DetectSettings:
 
     def __post_init__(self) -> None:
         _check_types(self, "detect")
+        _one_of(self.method, "detect.method", DETECTORS)
+        _one_of(self.inputs, "detect.inputs", ("all", "image"))
+        score = self.min_score
+        _require(score is None or 0.0 < score < 1.0, "detect.min_score", "in (0, 1)", score)
         _require(self.min_z > 0.0, "detect.min_z", "a positive number", self.min_z)
         _require(self.person_m > 0.0, "detect.person_m", "a positive length", self.person_m)
         _require(self.min_rays >= 0.0, "detect.min_rays", "0 or more", self.min_rays)
@@ -217,6 +236,15 @@ class Settings:
             table: New values of [focus] by name.
         """
         return dataclasses.replace(self, focus=dataclasses.replace(self.focus, **table))
+
+    def with_score(self, score: float) -> Settings:
+        """Return the settings with another threshold of finds, in units of the method they name.
+
+        Args:
+            score: Score of the network, or local z of peaks.
+        """
+        name = "min_score" if self.detect.method == "network" else "min_z"
+        return self.with_values(detect={name: score})
 
     def to_toml(self) -> str:
         """Return the settings as TOML, every default written out; what is not set is left out."""

@@ -17,6 +17,7 @@ EXTRAS = {
     "logs": ("pyulog", "pymavlink"),
     "plot": ("matplotlib",),
     "sim": ("mujoco",),
+    "train": ("torch", "onnx"),
 }
 """Modules that each extra brings."""
 

@@ -28,12 +28,29 @@ ALLOWED = {
     "masking": BASE | {"photos", "kernels"},
     "viewing": BASE,
     "focusing": BASE | {"photos", "kernels", "viewing"},
-    "rendering": BASE | {"photos", "masking", "kernels", "detect", "result"},
+    "ground_map": BASE | {"viewing"},
+    "finding": BASE | {"detect"},
+    "rendering": BASE
+    | {"photos", "masking", "kernels", "detect", "result", "finding", "ground_map"},
     "pipeline": BASE
-    | {"photos", "masking", "kernels", "detect", "result", "rendering", "focusing", "viewing"},
+    | {"photos", "masking", "kernels", "detect", "result", "rendering", "focusing", "viewing"}
+    | {"finding"},
     "sweeping": BASE | {"photos", "masking", "kernels", "rendering", "viewing", "focusing"},
     "demo": BASE | {"formats"},
     "report": BASE | {"detect", "result", "sweeping"},
+    "evaluate": BASE
+    | {
+        "detect",
+        "result",
+        "formats",
+        "report",
+        "viewing",
+        "nav",
+        "kernels",
+        "photos",
+        "pipeline",
+        "finding",
+    },
 }
 """What each part may import when it is loaded; parts not named here may import anything."""
 

@@ -58,7 +58,17 @@ def test_help_is_quick_and_names_the_commands() -> None:
     spent = after.children_user + after.children_system - before.children_user
     spent -= before.children_system
     assert done.returncode == 0
-    for command in ("demo", "run", "sweep", "nav", "simulate", "info", "convert", "doctor"):
+    for command in (
+        "demo",
+        "run",
+        "sweep",
+        "detect",
+        "nav",
+        "simulate",
+        "info",
+        "convert",
+        "doctor",
+    ):
         assert command in done.stdout
     assert spent < 2.0  # 0.2 s on a quiet machine; the limit is for loaded ones
     loaded = subprocess.run(

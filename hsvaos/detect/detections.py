@@ -57,6 +57,8 @@ class Person:
         std_m: Horizontal standard deviation of the place, one axis [m].
         score: Mean of the best score in each view that holds the place, 0 where none was found.
         views: Number of views that show it.
+        covariance_m2: Of the place, north and east [m^2]; None where it is not known. std_m is the
+            root of half its trace.
     """
 
     north_m: float
@@ -67,3 +69,4 @@ class Person:
     std_m: float
     score: float
     views: int
+    covariance_m2: tuple[tuple[float, float], tuple[float, float]] | None = None

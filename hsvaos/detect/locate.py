@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hsvaos.camera import VirtualCamera
 from hsvaos.detect.detections import Detections, Person
@@ -16,9 +16,15 @@ from hsvaos.geodesy import geodetic_from_ned
 
 Points = NDArray[np.float64]
 
+_LEAST_WEIGHT = 1e-6
+"""Of a find in a mean: scores of 0 have no sum to divide by."""
+
 
 def box_places(
-    found: Detections, hits: NDArray[np.float32], view: VirtualCamera
+    found: Detections,
+    hits: NDArray[np.float32],
+    view: VirtualCamera,
+    pose_covariance: ArrayLike | None = None,
 ) -> tuple[Points, Points]:
     """Return where boxes lie on the focal surface, and how sure that is.
 
@@ -27,14 +33,22 @@ def box_places(
         hits: Shape (H, W, 4), focal point of each pixel relative to the view's centre [m] and 1,
             or 0 where there is none, as `kernels.rays.focal_points` gives them.
         view: The view.
+        pose_covariance: Shape (6, 6), of the view's pose: north, east, down [m], then the rotation
+            vector of the attitude error about them [rad], as `Trajectory.camera_covariance` gives
+            it. By default the pose is taken as known.
 
     Returns:
-        places, shape (K, 3), world NED [m], NaN where a box has no ground; and variances, shape
-        (K,) [m^2], of a place spread evenly over the box, one axis.
+        places, shape (K, 3), world NED [m], NaN where a box has no ground; and covariances, shape
+        (K, 2, 2), north and east [m^2]: of a place spread evenly over the box on the surface, plus
+        what the pose makes of it.
+
+    Raises:
+        ValueError: If the pose's covariance is none, or the view is a ground grid and has no pose.
     """
     height, width = hits.shape[:2]
     places = np.full((len(found), 3), np.nan)
-    variances = np.zeros(len(found))
+    covariances = np.zeros((len(found), 2, 2))
+    pose = None if pose_covariance is None else _checked_covariance(pose_covariance, view)
 
     def point(row: int, column: int) -> Points:
         hit = hits[row, column].astype(np.float64)
@@ -46,10 +60,42 @@ def box_places(
         places[k] = point(r[1], c[1])
         across = point(r[1], c[2]) - point(r[1], c[0])
         along = point(r[2], c[1]) - point(r[0], c[1])
-        sides = np.array([np.hypot(*side[:2]) for side in (across, along)])
-        if np.isfinite(sides).any():
-            variances[k] = np.nanmean(sides**2) / 12.0
-    return places, variances
+        covariances[k] = _even_spread(across[:2], along[:2])
+        if pose is not None and np.isfinite(places[k]).all():
+            covariances[k] += _from_pose(places[k] - view.world_from_camera[:3, 3], pose)
+    return places, covariances
+
+
+def _even_spread(across: Points, along: Points) -> Points:
+    """Covariance of a point anywhere in a parallelogram; of a square where a side is not known."""
+    known = [side for side in (across, along) if np.isfinite(side).all()]
+    if len(known) == 2:
+        return np.asarray((np.outer(across, across) + np.outer(along, along)) / 12.0)
+    square = sum(float(side @ side) for side in known) / 12.0
+    return np.eye(2) * square
+
+
+def _from_pose(ray: Points, pose: Points) -> Points:
+    """Covariance of where a ray meets level ground, from that of the pose it starts from.
+
+    With the ray r from the camera to the ground and n = down, an error of position and attitude
+    moves the place by P (e_p - [r]x e_phi), P = I - r n' / (n r): along the ray back onto the
+    ground.
+    """
+    x, y, z = ray
+    slide = np.array([[1.0, 0.0, -x / z], [0.0, 1.0, -y / z]])
+    turn = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # -[r]x
+    J = slide @ np.hstack([np.eye(3), turn])
+    return np.asarray(J @ pose @ J.T)
+
+
+def _checked_covariance(values: ArrayLike, view: VirtualCamera) -> Points:
+    if view.is_ortho:
+        raise ValueError("pose_covariance: a ground grid is taken from no pose, expected None")
+    matrix = np.asarray(values, dtype=np.float64)
+    if matrix.shape != (6, 6) or not np.isfinite(matrix).all():
+        raise ValueError(f"pose_covariance must be 6 x 6 finite numbers, got shape {matrix.shape}")
+    return matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,22 +104,22 @@ class ViewFinds:
 
     Args:
         view: The virtual camera.
-        found: Its boxes and scores.
+        found: Its boxes and scores: probabilities of a network, or local z of peaks.
         places: Shape (K, 3), world NED [m], NaN where a box has no ground.
-        variances: Shape (K,) [m^2], one axis.
+        covariances: Shape (K, 2, 2), north and east [m^2].
     """
 
     view: VirtualCamera
     found: Detections
     places: Points
-    variances: Points
+    covariances: Points
 
 
 class _Find(NamedTuple):
     score: float
     view: int
     place: Points
-    variance: float
+    covariance: Points
 
 
 def merge_views(
@@ -83,7 +129,7 @@ def merge_views(
 
     From the strongest find down, a find within one person's length of a person already there
     joins it, else it starts a new one. A person lies at the mean of its finds weighted by score;
-    its variance is theirs plus their scatter. Views share the error of the poses, so variances
+    its covariance is theirs plus their scatter. Views share the error of the poses, so covariances
     are not divided by their number. A person's score is the mean of the best score in every view
     whose picture holds its place, with 0 where that view did not find it: noise comes and goes
     with the view, a person stays.
@@ -95,9 +141,11 @@ def merge_views(
         origin: Ties the local frame to the Earth, or None.
     """
     rows = [
-        _Find(float(score), view, place, float(variance))
+        _Find(float(score), view, place, covariance)
         for view, one in enumerate(finds)
-        for score, place, variance in zip(one.found.scores, one.places, one.variances, strict=True)
+        for score, place, covariance in zip(
+            one.found.scores, one.places, one.covariances, strict=True
+        )
         if np.isfinite(place).all()
     ]
     groups: list[list[_Find]] = []
@@ -113,11 +161,12 @@ def merge_views(
 
 
 def _person(group: list[_Find], finds: Sequence[ViewFinds], origin: Origin | None) -> Person:
-    weights = np.array([find.score for find in group])
+    weights = np.array([max(find.score, _LEAST_WEIGHT) for find in group])
     places = np.array([find.place for find in group])
     middle = np.average(places, axis=0, weights=weights)
-    scatter = np.average(((places - middle)[:, :2] ** 2).mean(axis=1), weights=weights)
-    variance = np.average([find.variance for find in group], weights=weights)
+    away = (places - middle)[:, :2]
+    scatter = np.average(away[:, :, None] * away[:, None, :], axis=0, weights=weights)
+    spread = np.average([find.covariance for find in group], axis=0, weights=weights) + scatter
     best: dict[int, float] = {}
     for find in group:
         best[find.view] = max(best.get(find.view, 0.0), find.score)
@@ -132,9 +181,13 @@ def _person(group: list[_Find], finds: Sequence[ViewFinds], origin: Origin | Non
         down_m=float(middle[2]),
         lat_deg=lat,
         lon_deg=lon,
-        std_m=float(np.sqrt(variance + scatter)),
+        std_m=float(np.sqrt(np.trace(spread) / 2.0)),
         score=sum(best.values()) / max(holding, len(best)),
         views=len(best),
+        covariance_m2=(
+            (float(spread[0, 0]), float(spread[0, 1])),
+            (float(spread[1, 0]), float(spread[1, 1])),
+        ),
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterable
 from typing import Any
 
 from hsvaos.detect.detections import Detections, Person
@@ -17,10 +18,20 @@ _LOCAL_NOTE = (
 
 def detections_json(result: Result) -> str:
     """Return the content of detections.json: boxes of every view, and persons on the ground."""
+    return views_json(result.views, result.persons)
+
+
+def views_json(views: Iterable[tuple[str, Detections]], persons: Iterable[Person] = ()) -> str:
+    """Return the content of detections.json.
+
+    Args:
+        views: Frame name and boxes of each view.
+        persons: On the ground.
+    """
     return _dump(
         {
-            "views": [{"frame": frame, "boxes": _boxes(found)} for frame, found in result.views],
-            "persons": [_person(person) for person in result.persons],
+            "views": [{"frame": frame, "boxes": _boxes(found)} for frame, found in views],
+            "persons": [_person(person) for person in persons],
         }
     )
 
@@ -56,6 +67,9 @@ def _person(person: Person) -> dict[str, Any]:
         "lat_deg": _number(person.lat_deg),
         "lon_deg": _number(person.lon_deg),
         "std_m": _number(person.std_m),
+        "covariance_m2": None
+        if person.covariance_m2 is None
+        else [[_number(value) for value in row] for row in person.covariance_m2],
         "score": _number(person.score),
         "views": int(person.views),
     }

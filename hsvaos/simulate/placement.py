@@ -41,7 +41,7 @@ class Cast:
         instances: The forest with them (and their bushes) in it.
         number: Instance number of each person.
         bush: Whether a bush was put over each.
-        visible: Mean visible fraction of each over the photos.
+        visible: Mean visible fraction of each over the photos; NaN where it was not measured.
     """
 
     people: tuple[Person, ...]
@@ -96,6 +96,7 @@ def place_people(
     tops: Sequence[str] | None = None,
     places: Sequence[tuple[float, float]] | None = None,
     fresh: bool = False,
+    measure: bool = True,
     device: str = "cpu",
 ) -> Cast:
     """Lay people where their occlusion class is met.
@@ -116,6 +117,8 @@ def place_people(
         places: North and east of each person [m], to lay them just there: nothing is then sought
             or cut, and classes only say who lies under a bush.
         fresh: New ragdolls instead of the pose library.
+        measure: Whether to measure how visible people at given `places` are; it costs a few
+            seconds, and the photos tell it again. Where places are sought it is always done.
         device: Warp device.
 
     Raises:
@@ -149,7 +152,11 @@ def place_people(
     if places is not None:
         if len(places) != count:
             raise ValueError(f"expected {count} places, one a person, got {len(places)}")
-        return measured([lay(k, *place) for k, place in enumerate(places)])
+        laid = [lay(k, *place) for k, place in enumerate(places)]
+        if not measure:
+            cast = _with_people(forest, laid, [p.asked == "bush" for p in laid])
+            return replace(cast, visible=(float("nan"),) * count)
+        return measured(laid)
     picker = _Picker(forest, camera, poses, half_m, device, clearing="open" in asked)
     forest = picker.forest
     people = [lay(k, *picker.place(asked[k])) for k in range(count)]

@@ -57,12 +57,15 @@ class Simulation:
     Args:
         settings: What to simulate.
         device: Warp device that draws.
+        measure: Whether to measure before the flight how visible people at given places are.
 
     Raises:
         ValueError: If the settings cannot be met, or there is no such device.
     """
 
-    def __init__(self, settings: SimulationSettings, device: str = "cpu") -> None:
+    def __init__(
+        self, settings: SimulationSettings, device: str = "cpu", *, measure: bool = True
+    ) -> None:
         self.device = str(resolve_device(device))
         self.settings = settings.fitted()
         self.camera: Camera = self.settings.camera
@@ -79,6 +82,7 @@ class Simulation:
             tops=self.settings.clothes,
             places=self.settings.places,
             fresh=self.settings.fresh_poses,
+            measure=measure,
             device=self.device,
         )
         self.forest = self.cast.forest

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -103,8 +104,90 @@ def test_boxes_of_two_views_become_one_person_at_its_place() -> None:
     assert person.views == 2
     assert person.score == 6.0
     assert 0.2 < person.std_m < 0.8
+    assert person.covariance_m2 is not None
+    covariance = np.array(person.covariance_m2)
+    assert person.std_m == pytest.approx(np.sqrt(np.trace(covariance) / 2))
+    np.testing.assert_array_equal(covariance, covariance.T)
+    # boxes are twice as wide as high: wider east than north
+    assert covariance[1, 1] > 2.0 * covariance[0, 0]
     assert person.lat_deg == pytest.approx(48.0 + 3.0 / 111200, abs=1e-6)
     assert person.lon_deg == pytest.approx(14.0 - 2.0 / 74600, abs=1e-6)
+
+
+def test_box_covariance_is_that_of_a_place_anywhere_in_the_box() -> None:
+    camera = Camera.from_fov(401, 401, 90.0)
+    view = VirtualCamera(camera, looking_down(0.0, 0.0))
+    hits = focal_points(view, FocalPlane(0.0)).numpy().reshape(401, 401, 4)
+    found = detections((100, 150, 140, 160), scores=[0.5])
+    _, covariances = box_places(found, hits, view)
+    east, north = np.random.default_rng(0).uniform((-2.0, -0.5), (2.0, 0.5), (200_000, 2)).T
+    np.testing.assert_allclose(covariances[0], np.cov(north, east), atol=0.01)
+    # turned by 30 degrees the same box has the same spread along its own sides
+    a = np.radians(30.0)
+    turn = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1.0]])
+    pose = looking_down(0.0, 0.0)
+    pose[:3, :3] = turn @ pose[:3, :3]
+    turned = VirtualCamera(camera, pose)
+    hits = focal_points(turned, FocalPlane(0.0)).numpy().reshape(401, 401, 4)
+    _, others = box_places(found, hits, turned)
+    expected = turn[:2, :2] @ covariances[0] @ turn[:2, :2].T
+    np.testing.assert_allclose(others[0], expected, atol=1e-6)
+
+
+@given(seed=st.integers(0, 10**6))
+def test_pose_covariance_reaches_the_ground(seed: int) -> None:
+    """Against poses drawn at random, each casting its own ray through the box's middle."""
+    rng = np.random.default_rng(seed)
+    camera = Camera.from_fov(201, 201, 90.0)
+    pose = looking_down(1.0, 2.0)
+    tilt = np.radians(rng.uniform(-15.0, 15.0, 3))
+    pose[:3, :3] = rotation(tilt) @ pose[:3, :3]
+    view = VirtualCamera(camera, pose)
+    hits = focal_points(view, FocalPlane(0.0)).numpy().reshape(201, 201, 4)
+    row, column = rng.integers(40, 160, 2)
+    found = detections((column, row, column, row), scores=[1.0])
+    root = rng.normal(size=(6, 6)) * ([[0.1]] * 3 + [[0.005]] * 3)
+    covariance = root @ root.T
+    _, (got,) = box_places(found, hits, view, covariance)
+    places = []
+    for error in rng.multivariate_normal(np.zeros(6), covariance, 4000):
+        moved = pose.copy()
+        moved[:3, :3] = rotation(error[3:]) @ pose[:3, :3]
+        moved[:3, 3] += error[:3]
+        origin, direction = VirtualCamera(camera, moved).rays([column, row])
+        places.append((origin - direction * origin[2] / direction[2])[:2])
+    expected = np.cov(np.array(places).T)
+    np.testing.assert_allclose(got, expected, atol=0.12 * np.trace(expected))
+
+
+def rotation(vector: np.ndarray) -> np.ndarray:
+    matrix, _ = cv2.Rodrigues(np.asarray(vector, np.float64))
+    return np.asarray(matrix)
+
+
+def test_pose_covariance_mistakes() -> None:
+    camera = Camera.from_fov(21, 21, 90.0)
+    view = VirtualCamera(camera, looking_down(0.0, 0.0))
+    hits = focal_points(view, FocalPlane(0.0)).numpy().reshape(21, 21, 4)
+    found = detections((3, 3, 5, 5), scores=[1.0])
+    for wrong in (np.eye(3), np.full((6, 6), np.nan)):
+        with pytest.raises(ValueError, match="pose_covariance must be 6 x 6"):
+            box_places(found, hits, view, wrong)
+    with pytest.raises(ValueError, match="ground grid"):
+        box_places(found, hits, VirtualCamera.ortho(0, 0, 1, 21, 21), np.eye(6))
+
+
+@pytest.mark.parametrize("scores", [(0.9, 0.6), (11.0, 6.5), (0.0, 0.0)])
+def test_probabilities_and_local_z_are_merged_alike(scores: tuple[float, float]) -> None:
+    view = VirtualCamera.ortho(10.0, 0.0, 0.1, 100, 100)
+    hits = focal_points(view, FocalPlane(0.0)).numpy().reshape(100, 100, 4)
+    first = detections((10, 10, 14, 14), (13, 10, 17, 14), scores=list(scores))
+    second = detections((12, 10, 16, 14), scores=[scores[1]])
+    finds = [ViewFinds(view, one, *box_places(one, hits, view)) for one in (first, second)]
+    (person,) = merge_views(finds, 1.8, 0.0, None)
+    assert person.score == pytest.approx(sum(scores) / 2.0)
+    assert person.views == 2
+    assert np.isfinite([person.std_m, person.north_m]).all()
 
 
 def test_far_finds_stay_apart_and_boxes_without_ground_are_dropped() -> None:

@@ -108,6 +108,7 @@ def test_json_has_the_agreed_keys_and_no_nan(result_of) -> None:
                 "lat_deg": None,
                 "lon_deg": None,
                 "std_m": None,
+                "covariance_m2": None,
                 "score": 0.5,
                 "views": 1,
             }

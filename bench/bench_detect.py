@@ -1,0 +1,90 @@
+"""The person network on one view and on the 117 views of a flight; OpenCV runs the same network."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from bench.data import photos
+from bench.harness import SMOKE, Contenders, size
+from hsvaos import Detector
+from hsvaos.detect.anomaly import find_persons
+from hsvaos.detect.network import Network
+from hsvaos.detect.network_input import network_input
+from hsvaos.detect.yolo import PACKAGED
+from hsvaos.settings import DetectSettings
+
+VIEWS = 2 if SMOKE else 117
+
+_MISSING = f"the person network was not measured: {PACKAGED.name} is not there"
+
+
+def layers(count: int, side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Integral images, rays and rarity maps of a forest without people."""
+    images = photos(count, side).astype(np.float32)
+    rng = np.random.default_rng(2)
+    rays = rng.integers(20, 60, images.shape[:3]).astype(np.float32)
+    return images, rays, rng.exponential(0.05, images.shape[:3]).astype(np.float32)
+
+
+def one_view(side: int) -> Callable[[], Contenders]:
+    def contenders() -> Contenders:
+        images, rays, rarity = (part[0] for part in layers(1, size(side)))
+        detector = Detector(provider="cpu")
+        planes = network_input(images, rays, rarity)[None]
+        alone = Network(PACKAGED, "cpu")
+        network = cv2.dnn.readNetFromONNX(str(PACKAGED))
+
+        def opencv() -> None:
+            network.setInput(planes, alone.picture.name)
+            network.forward(network.getUnconnectedOutLayersNames())
+
+        return {
+            "hsvaos Detector": lambda: detector.detect(images, footprint=rays, rarity=rarity),
+            "  of it preparing the input": lambda: network_input(images, rays, rarity),
+            "  of it the network": lambda: alone.run({alone.picture.name: planes}),
+            "OpenCV dnn, the network alone": opencv,
+            "rarity peaks, no network": lambda: find_persons(rarity, rays, 0.05, DetectSettings()),
+        }
+
+    return contenders
+
+
+def many_views() -> Contenders:
+    images, rays, rarity = layers(VIEWS, size(512))
+    detector = Detector(provider="cpu")
+    return {
+        "hsvaos detect_batch": lambda: detector.detect_batch(
+            images, footprints=list(rays), rarities=list(rarity)
+        ),
+        "one view after the other": lambda: [
+            detector.detect(image, footprint=cover, rarity=rare)
+            for image, cover, rare in zip(images, rays, rarity, strict=True)
+        ],
+    }
+
+
+RACES: dict[str, Callable[[], Contenders]] = {}
+if PACKAGED.is_file():
+    RACES = {
+        "people in a view of 512 px": one_view(512),
+        "people in a view of 1024 px": one_view(1024),
+        f"people in {VIEWS} views of 512 px": many_views,
+    }
+else:
+    sys.stderr.write(_MISSING + "\n")
+
+
+def test_race(benchmark: Any, contender: tuple[str, str]) -> None:
+    benchmark.group = contender[0]
+    benchmark(RACES[contender[0]]()[contender[1]])
+
+
+@pytest.mark.skipif(PACKAGED.is_file(), reason="measured above")
+def test_network_is_there() -> None:
+    pytest.skip(_MISSING)

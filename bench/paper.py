@@ -1,0 +1,307 @@
+"""The paper's experiment on unseen seeds: who is found, by which method, with which poses.
+
+    python bench/paper_flights.py FLIGHTS          simulates the flights (see there)
+    python bench/paper.py run FLIGHTS RESULTS      one JSON a flight and method; resumable
+    python bench/paper.py poses FLIGHTS RESULTS    errors of the poses against the truth
+    python bench/paper.py table RESULTS            bench/PAPER.md and its figures from what is there
+
+Every fourth stored pose is a virtual camera, drawn at 5 cm a pixel, the sampling at which the
+network looks anyway. A ground point shows the same from all of them, so more views are not more
+evidence.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import hsvaos
+from hsvaos.camera import VirtualCamera
+from hsvaos.detect.anomaly import find_persons
+from hsvaos.detect.detections import Detections
+from hsvaos.detect.locate import ViewFinds, box_places, merge_views
+from hsvaos.detect.yolo import Detector
+from hsvaos.evaluate.results import FlightResult, JudgedView
+from hsvaos.evaluate.seen import ground_seen_ha
+from hsvaos.evaluate.truth import read_people, truth_boxes
+from hsvaos.flight import Flight
+from hsvaos.formats.poses import read_poses
+from hsvaos.ground_map import GroundMap, Layer, grid_for
+from hsvaos.kernels.device import quiet_start
+from hsvaos.kernels.integrate import Integrator
+from hsvaos.kernels.rays import focal_points
+from hsvaos.masking import make_masks
+from hsvaos.photos import Photos, load_photos
+from hsvaos.settings import DetectSettings, Settings, ViewSettings
+from hsvaos.surface import FocalPlane
+
+try:
+    from paper_flights import FIRST_SEED  # run as a script
+except ImportError:
+    from bench.paper_flights import FIRST_SEED
+
+STRIDE = 4
+ABLATION_SEEDS = 3
+"""Seeds on which the parts are taken away one by one, with true poses."""
+
+GSD_M = 0.05
+FLOOR = 0.02
+"""Least score of a box: precision-recall curves need the weak ones too."""
+
+Layers = Mapping[str, Layer]
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way of finding people.
+
+    Args:
+        find: Called with the layers of a view; returns boxes down to weak ones.
+        score: Score from which a box is reported.
+        tracks: Poses with which it is tried.
+        everywhere: Whether on all seeds, or only on those of the ablation.
+    """
+
+    find: Callable[[Layers], Detections]
+    score: float
+    tracks: tuple[str, ...] = ("true",)
+    everywhere: bool = False
+
+
+def methods() -> dict[str, Method]:
+    """Return all methods by name."""
+    detector = Detector(score=FLOOR)
+    score = Detector().score
+    peaks = DetectSettings()
+
+    def image(name: str) -> Callable[[Layers], Detections]:
+        return lambda layers: detector.detect(layers[name][0], footprint=layers[name][1])
+
+    def everything(*, rays: bool = True, rarity: bool = True) -> Callable[[Layers], Detections]:
+        def find(layers: Layers) -> Detections:
+            rare, count = layers["rarity_map"]
+            return detector.detect(
+                layers["rarity"][0],
+                footprint=count if rays else None,
+                rarity=rare[..., 0] if rarity else None,
+                plain=layers["plain"][0],
+            )
+
+        return find
+
+    def of_peaks(name: str) -> Callable[[Layers], Detections]:
+        low = replace(peaks, min_z=0.5 * peaks.min_z)
+        return lambda layers: find_persons(layers[name][0][..., 0], layers[name][1], GSD_M, low)
+
+    both = ("true", "ekf")
+    return {
+        "AOS": Method(image("plain"), score, both, True),
+        "HSV-AOS": Method(image("hue"), score, both, True),
+        "hsvaos": Method(everything(), score, both, True),
+        "hue, not brightened": Method(image("hue_dark"), score),
+        "rarity image": Method(image("rarity"), score),
+        "rarity x hue image": Method(image("rarity_hue"), score),
+        "all but rays": Method(everything(rays=False), score),
+        "all but rarity map": Method(everything(rarity=False), score),
+        "peaks of rarity": Method(of_peaks("rarity_map"), peaks.min_z),
+        "peaks of RX": Method(of_peaks("anomaly_map"), peaks.min_z),
+    }
+
+
+def integrators(photos: Photos, ablation: bool) -> dict[str, Integrator]:
+    """Return the integrators of a flight, by layer."""
+    settings = Settings().with_values(mask={"statistics": "linear"}, detect={"method": "anomaly"})
+    masks = make_masks(photos, settings)
+    camera, poses = photos.flight.camera, photos.flight.poses
+
+    def weighed(images: Any, weights: Any, gains: Any = None) -> Integrator:
+        return Integrator(camera, images, poses, weights, gains=gains)
+
+    found = {
+        "plain": weighed(photos.images, photos.valid),
+        "hue": weighed(masks.brightened, masks.hue),
+        "rarity": weighed(photos.images, masks.rarity, masks.gains),
+        "rarity_map": weighed(masks.rarity, photos.valid),
+    }
+    if ablation:
+        product = masks.rarity.numpy() * (masks.hue.numpy() > 0)
+        found |= {
+            "hue_dark": weighed(photos.images, masks.hue, masks.gains),
+            "rarity_hue": weighed(photos.images, product, masks.gains),
+            "anomaly_map": weighed(masks.anomaly, photos.valid),
+        }
+    return found
+
+
+def measure(
+    folder: Path, track: str, use: dict[str, Method], device: str = "cpu"
+) -> dict[str, FlightResult]:
+    """Return the result of every method on one flight."""
+    flight = posed(hsvaos.open_flight(folder), folder, track)
+    photos = load_photos(flight, device=device)
+    flight = photos.flight
+    surface = FocalPlane(flight.ground_down_m or 0.0)
+    chosen = range(0, len(flight), STRIDE)
+    side = round(flight.camera.width * _shrink(flight))
+    small = flight.camera.without_distortion().scaled(side, side)
+    views = [VirtualCamera(small, flight.poses[k]) for k in chosen]
+    grid = grid_for(flight, views, surface, ViewSettings())
+    if grid is None:
+        raise RuntimeError(f"{folder}: no ground grid can stand for the views")
+    layers: dict[str, Layer] = {}
+    for name, integrator in integrators(
+        photos, any(not m.everywhere for m in use.values())
+    ).items():
+        image, footprint = integrator.integrate(grid, surface)
+        layers[name] = (np.asarray(image.numpy()), np.asarray(footprint.numpy()))
+    ground = GroundMap(grid, layers)
+    people = read_people(folder / "truth.json")
+    area = ground_seen_ha(flight, surface)
+    judged: dict[str, list[JudgedView]] = {name: [] for name in use}
+    reported: dict[str, list[ViewFinds]] = {name: [] for name in use}
+    for k, view in zip(chosen, views, strict=True):
+        hits = focal_points(view, surface, device=device).numpy()
+        hits = hits.reshape(view.height, view.width, 4)
+        seen = ground.seen_from(view, hits)
+        truth = truth_boxes(people, view)
+        for name, method in use.items():
+            found = method.find(seen)
+            judged[name].append(JudgedView(flight.frames[k].name, found, truth))
+            keep = found.scores >= method.score
+            sure = Detections(found.boxes_xyxy[keep], found.scores[keep], found.class_ids[keep])
+            reported[name].append(ViewFinds(view, sure, *box_places(sure, hits, view)))
+    detect = DetectSettings()
+    return {
+        name: FlightResult(
+            folder.name,
+            tuple(judged[name]),
+            merge_views(
+                reported[name],
+                detect.person_m,
+                method.score * detect.min_agreement,
+                flight.origin,
+            ),
+            people,
+            area,
+        )
+        for name, method in use.items()
+    }
+
+
+def posed(flight: Flight, folder: Path, track: str) -> Flight:
+    """Return the flight with true poses, or those of the package's filter and smoother."""
+    if track == "true":
+        return flight
+    by_name = {row.file: row.pose for row in read_poses(folder / "poses_ekf.csv")}
+    frames = tuple(replace(f, world_from_camera=by_name[f.name]) for f in flight.frames)
+    return flight.replace(frames=frames)
+
+
+def _shrink(flight: Flight) -> float:
+    height = float(np.median(-flight.poses[:, 2, 3]))
+    return min(1.0, height / flight.camera.fx / GSD_M)
+
+
+def run(flights: Path, results: Path, part: int, parts: int) -> None:
+    """Measure what is missing."""
+    results.mkdir(parents=True, exist_ok=True)
+    known = methods()
+    folders = sorted(p for p in flights.iterdir() if (p / "truth.json").exists())
+    folders.sort(key=lambda p: p.name.rsplit("_", 1)[::-1])  # seed by seed, all forests
+    first = [f"_{seed}" for seed in range(FIRST_SEED, FIRST_SEED + ABLATION_SEEDS)]
+    for folder in folders[part::parts]:
+        for track in ("true", "ekf"):
+            wanted = {
+                name: method
+                for name, method in known.items()
+                if track in method.tracks
+                and (method.everywhere or folder.name.endswith(tuple(first)))
+                and not _file(results, folder.name, track, name).exists()
+            }
+            if not wanted:
+                continue
+            began = time.monotonic()
+            for name, result in measure(folder, track, wanted).items():
+                path = _file(results, folder.name, track, name)
+                partial = path.with_suffix(".part")
+                partial.write_text(result.to_json())
+                partial.replace(path)
+            print(f"{folder.name} {track}: {time.monotonic() - began:.0f} s", flush=True)
+
+
+def _file(results: Path, flight: str, track: str, method: str) -> Path:
+    return results / f"{flight}.{track}.{method.replace(' ', '_').replace(',', '')}.json"
+
+
+def pose_errors(flights: Path, results: Path) -> None:
+    """Write root-mean-square errors of all flights: horizontal, down [m]; attitude [deg]."""
+    tracks: dict[str, list[np.ndarray]] = {}
+    for folder in sorted(p for p in flights.iterdir() if (p / "poses_ekf.csv").exists()):
+        flight = hsvaos.open_flight(folder)
+        times = np.array([frame.t_s for frame in flight.frames])
+        paper = hsvaos.estimate_trajectory(flight, filter="paper").world_from_camera(times)
+        for name, poses in (
+            ("error-state filter and smoother (poses_ekf.csv)", posed(flight, folder, "ekf").poses),
+            ("the paper's filter", paper),
+        ):
+            tracks.setdefault(name, []).append(_errors(poses, flight.poses))
+    figures = {}
+    for name, parts in tracks.items():
+        square = np.mean(np.concatenate(parts) ** 2, axis=0)
+        figures[name] = [float(v) for v in np.sqrt([square[0] + square[1], *square[2:]])]
+    (results / "poses.txt").write_text(json.dumps(figures, indent=1))
+    print(json.dumps(figures, indent=1))
+
+
+def _errors(have: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """Return errors of poses, shape (N, 6): north, east, down [m]; roll, pitch, yaw [deg]."""
+    place = have[:, :3, 3] - true[:, :3, 3]
+    turn = np.swapaxes(true[:, :3, :3], 1, 2) @ have[:, :3, :3]  # camera axes: x right, y back
+    angles = np.degrees(
+        np.stack(
+            [
+                0.5 * (turn[:, 1, 0] - turn[:, 0, 1]),  # about the view: yaw
+                0.5 * (turn[:, 2, 1] - turn[:, 1, 2]),  # about the right: pitch
+                0.5 * (turn[:, 0, 2] - turn[:, 2, 0]),  # about the back: roll
+            ]
+        )
+    )
+    return np.concatenate([place, angles[[2, 1, 0]].T], axis=1)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True)
+    running = commands.add_parser("run")
+    running.add_argument("flights", type=Path)
+    running.add_argument("results", type=Path)
+    running.add_argument("--part", type=int, default=0)
+    running.add_argument("--parts", type=int, default=1)
+    errors = commands.add_parser("poses")
+    errors.add_argument("flights", type=Path)
+    errors.add_argument("results", type=Path)
+    table = commands.add_parser("table")
+    table.add_argument("results", type=Path)
+    asked = parser.parse_args()
+    if asked.command == "run":
+        quiet_start()
+        run(asked.flights, asked.results, asked.part, asked.parts)
+    elif asked.command == "poses":
+        pose_errors(asked.flights, asked.results)
+    else:
+        from paper_tables import write_page
+
+        write_page(asked.results)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,194 @@
+"""Views cut and turned into inputs of networks: our own, and those that were trained on photos."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hsvaos.camera import finite_number
+from hsvaos.detect.fitting import Placement, as_bytes, fitted, padded
+from hsvaos.detect.layouts import Layout, input_size
+from hsvaos.detect.network import Network
+from hsvaos.detect.network_input import TRAINED_GSD_M, network_input
+from hsvaos.detect.view_input import ViewInput, Window, trained_size, windows
+
+Array = NDArray[Any]
+
+_AIM_GSD_M = 0.05
+"""Views of other distances are resampled to this one [m/px]."""
+
+_OWN_SIDE = 2048
+"""Largest window of our own networks, which take any size: it bounds the memory."""
+
+_OWN_OVERLAP = 256
+"""Overlap of such windows [px]: half of it is three people long at 4.5 cm."""
+
+_OVERLAP = 0.2
+"""Overlap of other windows, as a share of their side."""
+
+_SLICE_FROM = 1.5
+"""How many times larger than its input a view must be to be cut instead of shrunk."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tile:
+    """One input of a network, and where it lies.
+
+    Args:
+        view: Number of the view.
+        planes: Shape (C, h, w), float32.
+        placement: Of the window in the input.
+        window: In the view as resampled.
+        scale: Pixels of the view as resampled a pixel of the view as given, in x and y.
+    """
+
+    view: int
+    planes: Array
+    placement: Placement
+    window: Window
+    scale: tuple[float, float] = (1.0, 1.0)
+
+    def back(self, boxes: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Return boxes of the input in pixels of the view as given, and which this tile may keep.
+
+        Args:
+            boxes: Shape (N, 4), corners with pixel k covering k to k + 1 [px].
+        """
+        window = self.window
+        places = self.placement.back(boxes) + np.array([window.left, window.top] * 2, np.float32)
+        x, y = (places[:, 0] + places[:, 2]) / 2.0, (places[:, 1] + places[:, 3]) / 2.0
+        top, left, bottom, right = window.keep
+        kept = (y >= top) & (y <= bottom) & (x >= left) & (x <= right)
+        return places / np.array(self.scale * 2, np.float32), kept
+
+
+class PhotoFeed:
+    """Feeds networks that were trained on photos: 8-bit pictures, scaled to the input.
+
+    Attributes:
+        score: Score from which a box counts, by default.
+
+    Args:
+        network: The network.
+        layout: Its layout.
+        size_px: Side of the input, where the network takes any.
+        slice_px: Side of windows; 0: none; None: of the size of the input, for large views.
+
+    Raises:
+        ValueError: If the network takes one size only and another one is asked for.
+    """
+
+    def __init__(
+        self, network: Network, layout: Layout, size_px: int | None, slice_px: int | None
+    ) -> None:
+        self.score = layout.score
+        self._layout = layout
+        self._size = input_size(network, size_px)
+        self._slice = slice_px
+
+    def tiles(self, number: int, view: ViewInput, gsd_m: float | None) -> Iterator[Tile]:
+        """Yield the inputs of a view; its sampling distance does not matter.
+
+        Args:
+            number: Of the view.
+            view: The view.
+            gsd_m: Ground sampling distance [m/px].
+        """
+        for window in windows(view.size, *self._side(view.size)):
+            part = view.cut(window)
+            if part.any_seen:
+                yield Tile(number, *fitted(as_bytes(part), self._layout, self._size), window)
+
+    def _side(self, size: tuple[int, int]) -> tuple[tuple[int, int], int]:
+        side = self._size if self._slice is None else (self._slice, self._slice)
+        small = self._slice is None and max(size) <= _SLICE_FROM * max(self._size)
+        if small or self._slice == 0:
+            side = size
+        return side, round(_OVERLAP * min(side))
+
+
+class OwnFeed:
+    """Feeds our own networks: eight channels, not scaled but for their sampling distance.
+
+    Attributes:
+        score: Score from which a box counts, by default.
+
+    Args:
+        network: The network.
+        layout: Its layout.
+        slice_px: Largest side of windows; by default 2048 or the size of the input; 0: no windows
+            where the network takes any size.
+
+    Raises:
+        ValueError: If its metadata make no sense.
+    """
+
+    def __init__(self, network: Network, layout: Layout, slice_px: int | None) -> None:
+        self._stride = _stride(network)
+        self.score = _threshold(network, layout.score)
+        self._fixed = network.picture.shape[2:]
+        height, width = (
+            size or (sys.maxsize if slice_px == 0 else _OWN_SIDE) for size in self._fixed
+        )
+        if slice_px:
+            height, width = min(slice_px, height), min(slice_px, width)
+        self._side = height, width
+        whole = (height, width) == (_OWN_SIDE, _OWN_SIDE)
+        self._overlap = _OWN_OVERLAP if whole else round(_OVERLAP * min(height, width))
+
+    def tiles(self, number: int, view: ViewInput, gsd_m: float | None) -> Iterator[Tile]:
+        """Yield the inputs of a view.
+
+        Args:
+            number: Of the view.
+            view: The view.
+            gsd_m: Ground sampling distance [m/px]; None: it is taken as it is.
+
+        Raises:
+            ValueError: If the distance is not positive, or so coarse that resampling is senseless.
+        """
+        height, width = view.size
+        if gsd_m is not None:
+            if not (gsd := finite_number(gsd_m, "gsd_m")) > 0.0:
+                raise ValueError(f"gsd_m must be a positive number of metres, got {gsd_m!r}")
+            view = view.resized(*trained_size(view.size, gsd, TRAINED_GSD_M, _AIM_GSD_M))
+        scale = view.size[1] / width, view.size[0] / height
+        for window in windows(view.size, self._side, self._overlap):
+            part = view.cut(window)
+            if part.any_seen:
+                yield Tile(number, self._planes(part), Placement(), window, scale)
+
+    def _planes(self, view: ViewInput) -> Array:
+        planes = network_input(view.image, view.footprint, view.rarity, view.plain)
+        height, width = (
+            fixed or -(-side // self._stride) * self._stride
+            for fixed, side in zip(self._fixed, view.size, strict=True)
+        )
+        return padded(planes, (height, width))
+
+
+def _threshold(network: Network, default: float) -> float:
+    text = network.metadata.get("score_threshold", str(default))
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value <= 1.0:
+        raise ValueError(
+            f"{network.name}: expected score_threshold from 0 to 1 in the metadata, got {text!r}"
+        )
+    return value
+
+
+def _stride(network: Network) -> int:
+    text = network.metadata.get("stride", "16")
+    if not text.isdigit() or int(text) < 1:
+        raise ValueError(
+            f"{network.name}: expected a stride in pixels in the metadata, got {text!r}"
+        )
+    return int(text)

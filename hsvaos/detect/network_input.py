@@ -1,0 +1,171 @@
+"""What the person network sees: contrast against the surroundings, colour by colour.
+
+The same lines prepare integral images for training and for finding people.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+CHANNELS = ("red", "green", "blue", "plain red", "plain green", "plain blue", "rarity", "rays")
+"""Channels of the network's input, in order."""
+
+TRAINED_GSD_M = (0.045, 0.09)
+"""Ground sampling distances [m/px] between which the network was trained."""
+
+_SURROUND_PX = 129
+"""Side of the surround: some three times a lying person at the finest sampling trained for."""
+
+_CLIP = 3.0
+"""Deviations beyond which a value counts no more in its own surround."""
+
+_CLIPPINGS = 2
+
+_LIMIT = 8.0
+"""Contrast is cut off there: a lamp must not drown a person beside it."""
+
+_UNIT = 0.25
+"""Brings contrast to about the range -1..1 that networks like."""
+
+_LEAST_DEVIATION = 0.1
+"""In medians of the deviation over the image: flat surroundings must not show noise as contrast."""
+
+
+def network_input(
+    image: ArrayLike,
+    footprint: ArrayLike | None = None,
+    rarity: ArrayLike | None = None,
+    plain: ArrayLike | None = None,
+) -> NDArray[np.float32]:
+    """Return the input of the person network for one integral image.
+
+    Every pixel becomes its distance from the mean of its surround, a square of 129 pixels, in
+    deviations of that surround, one deviation for the three colours together so that hue stays.
+    Mean and deviation are those of the values clipped at 3 deviations. No value depends on the
+    exposure of the whole image. What is not known is 0.
+
+    Args:
+        image: Shape (H, W, 3) RGB or (H, W) grey, any number type; NaN where nothing was seen. The
+            integral image, weighted by rarity, hue or not at all.
+        footprint: Shape (H, W), how many rays each pixel has seen; 0 where none. None if unknown.
+        rarity: Shape (H, W), the rarity map. None if unknown.
+        plain: Shape (H, W, 3) or (H, W), the plain mean of all rays. By default the image.
+
+    Returns:
+        Shape (8, H, W), float32, see `CHANNELS`.
+
+    Raises:
+        ValueError: If a shape does not fit.
+    """
+    picture, seen = _picture(image, "image")
+    size = picture.shape[:2]
+    rays = _fitting(footprint, size, "footprint")
+    if rays is not None:
+        seen &= rays > 0.0
+    whole = np.zeros((len(CHANNELS), *size), dtype=np.float32)
+    whole[0:3] = _contrast(picture, seen)
+    if plain is None:
+        whole[3:6] = whole[0:3]
+    else:
+        second, known = _picture(plain, "plain")
+        if second.shape[:2] != size:
+            raise ValueError(f"plain must have the image's size {size}, got {second.shape[:2]}")
+        whole[3:6] = _contrast(second, known if rays is None else known & (rays > 0.0))
+    rare = _fitting(rarity, size, "rarity")
+    if rare is not None:
+        known = np.isfinite(rare) & (seen if rays is None else rays > 0.0)
+        whole[6] = _contrast(np.where(known, rare, 0.0)[..., None], known)[0]
+    if rays is not None:
+        whole[7] = np.log1p(np.maximum(np.nan_to_num(rays, nan=0.0), 0.0)) / 4.0
+    return whole
+
+
+def _picture(values: Any, name: str) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Return (H, W, 3), or (H, W, 1) of grey, without NaN, and where it was seen."""
+    picture = np.asarray(values, dtype=np.float32)
+    if picture.ndim == 2:
+        picture = picture[..., None]
+    if picture.ndim != 3 or picture.shape[2] not in (1, 3) or 0 in picture.shape:
+        raise ValueError(
+            f"{name} must have shape (H, W, 3) or (H, W), got {np.asarray(values).shape}"
+        )
+    finite = np.isfinite(picture)
+    if finite.all():
+        return picture, np.ones(picture.shape[:2], dtype=np.bool_)
+    seen = np.asarray(finite.all(axis=2))
+    kept = np.where(seen[..., None], picture, np.float32(0.0))
+    return np.asarray(kept, dtype=np.float32), seen
+
+
+def _fitting(values: Any, size: tuple[int, ...], name: str) -> NDArray[np.float32] | None:
+    if values is None:
+        return None
+    plane = np.asarray(values, dtype=np.float32)
+    if plane.shape != size:
+        raise ValueError(f"{name} must have the image's size {size}, got {plane.shape}")
+    return plane
+
+
+def _contrast(picture: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return the local contrast of (H, W, C) as (C, H, W), or of grey as (1, H, W)."""
+    channels = picture.shape[2]
+    out = np.zeros((channels, *picture.shape[:2]), dtype=np.float32)
+    if not seen.any():
+        return out
+    known = seen.astype(np.float32)
+    whole = bool(seen.all())
+    # a shift of the origin keeps the sums of squares exact
+    offset = np.array(cv2.mean(picture, seen.view(np.uint8))[:channels], dtype=np.float32)
+    # channel by channel and in place: sums over the last axis would cost most of the time
+    values = [picture[..., k] - offset[k] for k in range(channels)]
+    if not whole:
+        for value in values:
+            value *= known
+    share = np.float32(1.0) / np.maximum(_mean(known), np.float32(1e-6))
+
+    def moments(
+        parts: list[NDArray[np.float32]],
+    ) -> tuple[list[NDArray[np.float32]], NDArray[np.float32]]:
+        centres = [_mean(part) for part in parts]
+        for centre in centres:
+            centre *= share
+        total = np.zeros_like(known)
+        for part in parts:
+            total += part * part
+        variance = _mean(total)
+        variance *= share
+        for centre in centres:
+            variance -= centre * centre
+        variance /= np.float32(channels)
+        np.maximum(variance, np.float32(0.0), out=variance)
+        return centres, np.sqrt(variance, out=variance)
+
+    centres, deviation = moments(values)
+    for _ in range(_CLIPPINGS):
+        reach = np.float32(_CLIP) * deviation
+        clipped = []
+        for value, centre in zip(values, centres, strict=True):
+            part = np.minimum(value, centre + reach)
+            np.maximum(part, centre - reach, out=part)
+            clipped.append(part if whole else part * known)
+        centres, deviation = moments(clipped)
+    typical = float(np.median(deviation if whole else deviation[seen]))
+    least = max(_LEAST_DEVIATION * typical, 1e-6 * float(np.abs(offset).max()), 1e-12)
+    scale = np.float32(1.0) / np.maximum(deviation, np.float32(least))
+    for k, (value, centre) in enumerate(zip(values, centres, strict=True)):
+        z = np.subtract(value, centre, out=out[k])
+        z *= scale
+        np.clip(z, -_LIMIT, _LIMIT, out=z)
+        z *= known * np.float32(_UNIT)
+    return out
+
+
+def _mean(part: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return box means; what lies outside the picture counts as 0."""
+    box = (_SURROUND_PX, _SURROUND_PX)
+    mean = cv2.boxFilter(part, cv2.CV_32F, box, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(mean, dtype=np.float32).reshape(part.shape)

@@ -1,0 +1,109 @@
+"""Who is in a view: the method that the settings name, over the layers it looks at."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from hsvaos.detect.anomaly import find_persons
+from hsvaos.detect.detections import Detections
+from hsvaos.settings import DetectSettings
+
+
+@dataclass(frozen=True, eq=False)
+class Finder:
+    """Looks for people in the layers of a view.
+
+    Args:
+        layers: Names of the layers it looks at: "plain", "chosen", "rarity", "rarity_map",
+            "anomaly_map".
+        least_score: Score below which a person, seen over all views, is left out.
+        find: Called with layers by name, each (image, footprint), and the ground sampling distance
+            [m/px].
+    """
+
+    layers: tuple[str, ...]
+    least_score: float
+    find: Callable[[Mapping[str, Any], float], Detections]
+
+    def __call__(self, layers: Mapping[str, Any], gsd_m: float) -> Detections:
+        """Return the finds of a view.
+
+        Args:
+            layers: By name, at least those of `layers`: image (H, W, C) and footprint (H, W).
+            gsd_m: Ground sampling distance [m/px].
+        """
+        return self.find(layers, gsd_m)
+
+
+def operating_score(settings: DetectSettings) -> float:
+    """Return the score from which a find is reported.
+
+    Args:
+        settings: The method and its thresholds.
+
+    Raises:
+        ValueError: If the threshold is the network's own and that cannot be read.
+    """
+    if settings.method != "network":
+        return settings.min_z
+    if settings.min_score is not None:
+        return settings.min_score
+    from hsvaos.detect.yolo import Detector
+
+    return Detector(settings.model, settings.layout).score
+
+
+def make_finder(settings: DetectSettings, photos: int) -> Finder | None:
+    """Return what looks for people; None where nobody is looked for.
+
+    Args:
+        settings: The method and its thresholds.
+        photos: Number of photos of the flight.
+
+    Raises:
+        ValueError: If the network cannot be used, or is not there.
+    """
+    if not settings.enabled:
+        return None
+    if settings.method == "network":
+        return _network_finder(settings)
+    enough = replace(settings, min_rays=min(settings.min_rays, 0.5 * photos))
+    layer = f"{settings.method}_map"
+
+    def find(layers: Mapping[str, Any], gsd_m: float) -> Detections:
+        values, rays = layers[layer]
+        return find_persons(values[..., 0], rays, gsd_m, enough)
+
+    return Finder((layer,), settings.min_z * settings.min_agreement, find)
+
+
+def _network_finder(settings: DetectSettings) -> Finder:
+    from hsvaos.detect.yolo import Detector
+
+    detector = Detector(settings.model, settings.layout, score=settings.min_score)
+    least = detector.score * settings.min_agreement
+
+    def best(found: Detections) -> Detections:
+        kept = slice(settings.max_finds)
+        return Detections(found.boxes_xyxy[kept], found.scores[kept], found.class_ids[kept])
+
+    def find_in_image(layers: Mapping[str, Any], gsd_m: float) -> Detections:
+        image, footprint = layers["chosen"]
+        return best(detector.detect(image, footprint=footprint, gsd_m=gsd_m))
+
+    def find_in_all(layers: Mapping[str, Any], gsd_m: float) -> Detections:
+        rarity, rays = layers["rarity_map"]
+        found = detector.detect(
+            layers["rarity"][0],
+            footprint=rays,
+            rarity=rarity[..., 0],
+            plain=layers["plain"][0],
+            gsd_m=gsd_m,
+        )
+        return best(found)
+
+    if settings.inputs == "image" or detector.layout != "hsvaos":
+        return Finder(("chosen",), least, find_in_image)
+    return Finder(("rarity_map", "rarity", "plain"), least, find_in_all)

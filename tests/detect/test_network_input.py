@@ -1,0 +1,85 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hsvaos.detect.network_input import CHANNELS, network_input
+
+
+def scene(seed=0, height=200, width=240):
+    rng = np.random.default_rng(seed)
+    return rng.normal(100.0, 4.0, (height, width, 3)).astype(np.float32)
+
+
+@given(st.floats(0.1, 20.0), st.floats(-50.0, 50.0))
+def test_exposure_does_not_matter(gain, offset):
+    image = scene()
+    assert np.allclose(network_input(image), network_input(image * gain + offset), atol=2e-3)
+
+
+def test_a_half_of_another_exposure_leaves_the_other_half_as_it_is():
+    image = scene(1, 200, 600)
+    other = image.copy()
+    other[:, 400:] = other[:, 400:] * 5.0 + 200.0
+    before, after = network_input(image), network_input(other)
+    # farther than the surround from the seam
+    assert np.allclose(before[:, :, :330], after[:, :, :330], atol=2e-3)
+
+
+def test_a_person_stands_out_and_a_lamp_beside_it_does_not_hide_it():
+    image = scene(2)
+    image[100:120, 60:70] += 30.0
+    alone = network_input(image)[0, 100:120, 60:70].mean()
+    image[100:120, 90:100] = 255.0
+    beside = network_input(image)[0, 100:120, 60:70].mean()
+    assert alone > 1.2
+    assert beside > 0.5 * alone
+
+
+def test_hue_stays():
+    image = scene(3)
+    image[50:60, 50:60] += (40.0, 0.0, -40.0)
+    red, green, blue = network_input(image)[:3, 50:60, 50:60].mean(axis=(1, 2))
+    assert red > 1.0
+    assert abs(green) < 0.2
+    assert blue < -1.0
+
+
+def test_unknown_is_zero_and_never_nan():
+    image = scene(4)
+    image[:, :100] = np.nan
+    rays = np.full(image.shape[:2], 20.0)
+    rays[:60] = 0.0
+    rarity = np.where(rays > 0, 0.1, np.nan)
+    whole = network_input(image, rays, rarity)
+    assert whole.shape == (len(CHANNELS), 200, 240)
+    assert np.isfinite(whole).all()
+    assert (whole[:7, :60] == 0.0).all()
+    assert (whole[:6, :, :100] == 0.0).all()
+    assert np.allclose(whole[7, 60:], np.log1p(20.0) / 4.0)
+    assert (network_input(np.full((5, 5), np.nan)) == 0.0).all()
+    assert (network_input(np.zeros((1, 1))) == 0.0).all()
+
+
+def test_the_image_stands_in_for_the_plain_mean():
+    image = scene(5)
+    whole = network_input(image)
+    assert np.array_equal(whole[0:3], whole[3:6])
+    assert (whole[6:] == 0.0).all()
+    grey = network_input(image[..., 0])
+    assert np.array_equal(grey[0], grey[1])
+
+
+@pytest.mark.parametrize(
+    ("image", "more", "words"),
+    [
+        (np.zeros((4, 4, 2)), {}, "image must have shape"),
+        (np.zeros((0, 4)), {}, "image must have shape"),
+        (np.zeros((4, 4)), {"footprint": np.zeros((4, 5))}, "footprint must have the image's size"),
+        (np.zeros((4, 4)), {"rarity": np.zeros(4)}, "rarity must have the image's size"),
+        (np.zeros((4, 4)), {"plain": np.zeros((5, 4, 3))}, "plain must have the image's size"),
+    ],
+)
+def test_shapes_that_do_not_fit(image, more, words):
+    with pytest.raises(ValueError, match=words):
+        network_input(image, **more)

@@ -1,0 +1,104 @@
+"""Who looks for people: what each method is shown, and from which score it reports."""
+
+import numpy as np
+import pytest
+
+from hsvaos.finding import make_finder, operating_score
+from hsvaos.settings import DetectSettings
+
+pytest.importorskip("onnx", reason="needs pip install 'hsvaos[test]'")
+
+from hsvaos.detect.network_input import CHANNELS
+from tests.detect.nets import own_net
+
+SIZE = (160, 192)
+
+
+def layers():
+    rng = np.random.default_rng(0)
+    rays = np.full(SIZE, 30.0, np.float32)
+
+    def picture(channels=3):
+        return rng.normal(80.0, 4.0, (*SIZE, channels)).astype(np.float32), rays
+
+    found = {name: picture() for name in ("chosen", "plain", "rarity")}
+    for name in ("rarity_map", "anomaly_map"):
+        found[name] = (np.abs(rng.normal(0.02, 0.004, (*SIZE, 1))).astype(np.float32), rays)
+    return found
+
+
+@pytest.fixture
+def red_net(tmp_path):
+    """Sees contrast in red, of the image and of the plain mean, and in rarity."""
+
+    def make(channel):
+        weights = [0.0] * len(CHANNELS)
+        weights[CHANNELS.index(channel)] = 8.0
+        path = tmp_path / f"{channel}.onnx"
+        path.write_bytes(own_net(weights, -5.0))
+        return str(path)
+
+    return make
+
+
+def settings(**values):
+    return DetectSettings(**{"method": "network", **values})
+
+
+@pytest.mark.parametrize(
+    ("channel", "layer"),
+    [("red", "rarity"), ("plain red", "plain"), ("rarity", "rarity_map")],
+)
+def test_the_network_sees_everything(red_net, channel, layer):
+    finder = make_finder(settings(model=red_net(channel)), 30)
+    assert set(finder.layers) == {"rarity", "plain", "rarity_map"}
+    shown = layers()
+    assert len(finder(shown, 0.05)) == 0
+    shown[layer][0][64:80, 96:112, 0] *= 3.0
+    found = finder(shown, 0.05)
+    assert len(found) == 1
+    assert found.boxes_xyxy[0] == pytest.approx([95.5, 63.5, 111.5, 79.5], abs=1e-3)
+
+
+def test_the_paper_shows_it_the_chosen_image_only(red_net):
+    finder = make_finder(settings(model=red_net("red"), inputs="image"), 30)
+    assert finder.layers == ("chosen",)
+    shown = {"chosen": layers()["chosen"]}
+    shown["chosen"][0][64:80, 96:112, 0] *= 3.0
+    assert len(finder(shown, 0.05)) == 1
+
+
+def test_finds_are_places_of_the_view_at_any_sampling(red_net):
+    finder = make_finder(settings(model=red_net("red"), inputs="image"), 30)
+    fine = layers()["chosen"][0].repeat(2, axis=0).repeat(2, axis=1)
+    fine[128:160, 192:224, 0] *= 3.0
+    found = finder({"chosen": (fine, np.full(fine.shape[:2], 30.0, np.float32))}, 0.025)
+    assert len(found) == 1
+    assert found.boxes_xyxy[0] == pytest.approx([191.5, 127.5, 223.5, 159.5], abs=3.0)
+
+
+@pytest.mark.parametrize("method", ["rarity", "anomaly"])
+def test_peaks_need_no_weights(method):
+    finder = make_finder(DetectSettings(method=method), 30)
+    assert finder.layers == (f"{method}_map",)
+    assert finder.least_score == 3.0
+    shown = layers()
+    shown[f"{method}_map"][0][64:80, 96:112] += 0.5
+    found = finder(shown, 0.05)
+    middle = 0.5 * (found.boxes_xyxy[0, :2] + found.boxes_xyxy[0, 2:])
+    assert middle == pytest.approx([103.5, 71.5], abs=2.0)
+
+
+def test_scores_from_which_finds_are_reported(red_net):
+    model = red_net("red")
+    assert operating_score(settings(model=model)) == pytest.approx(0.4)
+    assert operating_score(settings(model=model, min_score=0.2)) == 0.2
+    assert operating_score(DetectSettings(method="rarity", min_z=7.0)) == 7.0
+    finder = make_finder(settings(model=model, min_score=0.6), 30)
+    assert finder.least_score == pytest.approx(0.3)
+    assert make_finder(settings(enabled=False), 30) is None
+
+
+def test_a_network_that_is_none_is_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"none\.onnx"):
+        make_finder(settings(model=str(tmp_path / "none.onnx")), 30)

@@ -1,0 +1,68 @@
+"""Views drawn from the integrated ground are those that integrating every view gives."""
+
+import numpy as np
+import pytest
+
+import hsvaos
+from hsvaos.demo import demo_flight
+from hsvaos.ground_map import grid_for
+from hsvaos.kernels.rays import focal_points
+from hsvaos.masking import make_masks
+from hsvaos.photos import load_photos, with_poses
+from hsvaos.rendering import Renderer, make_integrators
+from hsvaos.settings import Settings, ViewSettings
+from hsvaos.surface import FocalPlane, FocalTerrain
+
+
+@pytest.fixture(scope="module")
+def demo():
+    flight = with_poses(demo_flight())
+    photos = load_photos(flight)
+    settings = Settings()
+    masks = make_masks(photos, settings)
+    return photos.flight, make_integrators(photos, masks, "rarity"), settings
+
+
+def sloping(flight):
+    axis = np.linspace(-80.0, 80.0, 41)
+    north, east = np.meshgrid(axis, axis, indexing="ij")
+    return FocalTerrain.from_arrays(axis, axis, flight.ground_down_m + 0.02 * north - 0.01 * east)
+
+
+@pytest.mark.parametrize("kind", ["plane", "terrain"])
+def test_views_from_the_ground_are_those_of_the_photos(demo, kind):
+    flight, by, settings = demo
+    surface = FocalPlane(flight.ground_down_m) if kind == "plane" else sloping(flight)
+    views = [flight.view(i) for i in range(len(flight))]
+    direct = Renderer(by, settings, surface)
+    drawn = direct.with_ground_for(flight, views)
+    assert drawn.ground is not None
+    for i in (0, len(views) // 2):
+        a, _ = direct.render("direct", views[i])
+        b, _ = drawn.render("drawn", views[i])
+        hits = focal_points(views[i], surface, device="cpu").numpy()
+        assert np.isfinite(hits).all()
+        both = (a.rays > 3) & (b.rays > 3)
+        assert both.sum() > 0.99 * (a.rays > 3).sum()
+        assert np.abs(a.rays - b.rays)[both].mean() < 0.2
+        contrast = a.integral[both].std(axis=0).mean()
+        # two resamplings blur single rays of noise; what is wider than a pixel stays
+        assert np.abs(a.integral - b.integral)[both].mean() < 0.25 * contrast
+        assert np.corrcoef(a.integral[both].ravel(), b.integral[both].ravel())[0, 1] > 0.97
+        assert abs(np.median((a.rarity_map - b.rarity_map)[both])) < 2e-3
+
+
+def test_no_ground_where_it_cannot_stand_for_the_views(demo):
+    flight, _, _ = demo
+    surface = FocalPlane(flight.ground_down_m)
+    views = [flight.view(i) for i in range(len(flight))]
+    assert grid_for(flight, views, surface, ViewSettings()) is not None
+    assert grid_for(flight, views[:2], surface, ViewSettings()) is None
+    assert grid_for(flight, views, surface, ViewSettings(aperture_m=3.0)) is None
+    tilted = views[0].world_from_camera.copy()
+    turn = np.radians(50.0)
+    tilted[:3, :3] = tilted[:3, :3] @ np.array(
+        [[1, 0, 0], [0, np.cos(turn), -np.sin(turn)], [0, np.sin(turn), np.cos(turn)]]
+    )
+    oblique = hsvaos.VirtualCamera(views[0].camera, tilted)
+    assert grid_for(flight, [*views, oblique], surface, ViewSettings()) is None

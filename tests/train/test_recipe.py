@@ -1,0 +1,141 @@
+"""The training recipe: its pieces, on drawn maps (extra `train`)."""
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="needs pip install 'hsvaos[train]'")
+pytest.importorskip("onnx", reason="needs pip install 'hsvaos[train]'")
+
+from hsvaos.detect.yolo import Detector  # noqa: E402
+from train.export import export  # noqa: E402
+from train.fit import collate, loss_of, overlap  # noqa: E402
+from train.flights import FIRST_TRAINING_SEED, FIRST_TUNING_SEED, flight_settings  # noqa: E402
+from train.maps import CONDITIONS, Condition, conditions, disturbed  # noqa: E402
+from train.net import STRIDE, Exported, PersonNet, boxes_of, cell_centres  # noqa: E402
+from train.samples import CROP_PX, Sample, visit  # noqa: E402
+
+
+def drawn_map(path, people=6, seed=0, side=420):
+    rng = np.random.default_rng(seed)
+    layers = rng.normal(90.0, 6.0, (12, side, side)).astype(np.float32)
+    layers[9] = np.abs(rng.normal(0.02, 0.005, (side, side)))
+    layers[10] = 30.0
+    layers[11] = 5.0
+    corners = rng.uniform(40, side - 80, (people, 2)).round()
+    boxes = np.concatenate([corners, corners + rng.uniform(14, 36, (people, 2)).round()], axis=1)
+    for x0, y0, x1, y1 in boxes.astype(int):
+        layers[:9, y0:y1, x0:x1] += 40.0
+        layers[9, y0:y1, x0:x1] += 0.2
+    rays = np.full(people, 5.0)
+    rays[0] = 0.1
+    np.savez(path, layers=layers.astype(np.float16), boxes=boxes, rays=rays, gsd=0.05, colour=True)
+    return path
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_crops_keep_people_where_they_are(tmp_path, seed):
+    path = drawn_map(tmp_path / "flight_1_0.npz")
+    samples = visit(path, np.random.default_rng(seed), 8)
+    assert len(samples) == 8
+    found = 0
+    for sample in samples:
+        assert sample.whole.shape == (8, CROP_PX, CROP_PX)
+        assert np.isfinite(sample.whole).all()
+        for x0, y0, x1, y1 in np.clip(np.rint(sample.boxes), 0, CROP_PX).astype(int):
+            inside = sample.whole[0, y0 + 2 : y1 - 2, x0 + 2 : x1 - 2]
+            if inside.size > 20:
+                found += 1
+                assert abs(inside.mean()) > 0.4  # below 0 in black-hot pictures
+    assert found > 3
+
+
+def test_cells_answer_for_people_and_not_for_those_nobody_can_see():
+    seen = np.array([[40.0, 40.0, 70.0, 60.0]])
+    unseen = np.array([[150.0, 150.0, 180.0, 170.0]])
+    whole = np.zeros((8, CROP_PX, CROP_PX), np.float32)
+    _, wanted, boxes, people = collate([Sample(whole, seen, unseen)])
+    centres = cell_centres(CROP_PX // STRIDE, CROP_PX // STRIDE).numpy()
+    own = wanted[0].numpy() == 1.0
+    assert 1 <= own.sum() <= 4
+    assert np.abs(centres[own] - [55.0, 50.0]).max() < STRIDE
+    assert np.array_equal(boxes[0].numpy()[own], np.repeat(seen, own.sum(), 0).astype(np.float32))
+    silent = wanted[0].numpy() == -1.0
+    assert (centres[silent] > 30).all()
+    assert people.tolist() == [1]
+    hidden = (centres > [150, 150]).all(1) & (centres < [180, 170]).all(1)
+    assert silent[hidden].all()
+
+
+def test_overlaps_and_boxes():
+    first = torch.tensor([[0.0, 0.0, 2.0, 2.0]])
+    iou, giou = overlap(first, torch.tensor([[1.0, 0.0, 3.0, 2.0]]))
+    assert iou.item() == pytest.approx(1 / 3)
+    assert giou.item() == pytest.approx(1 / 3)
+    _, apart = overlap(first, torch.tensor([[8.0, 0.0, 10.0, 2.0]]))
+    assert apart.item() == pytest.approx(-0.6)
+    box = boxes_of(torch.tensor([0.5, -0.5, 0.0, np.log(2.0)]), torch.tensor([11.5, 19.5]))
+    assert box.tolist() == pytest.approx([7.5, -0.5, 23.5, 31.5])
+
+
+def test_training_learns_and_the_export_is_what_was_trained(tmp_path):
+    torch.manual_seed(0)
+    path = drawn_map(tmp_path / "flight_1_0.npz", people=9)
+    rng = np.random.default_rng(1)
+    net = PersonNet()
+    optimizer = torch.optim.AdamW(net.parameters(), lr=2e-3)
+    losses = []
+    batch = collate(visit(path, rng, 8))
+    for _ in range(12):
+        parts = loss_of(net, batch)
+        loss = parts["score"] + parts["box"]
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        losses.append(float(loss.detach()))
+    assert np.mean(losses[-3:]) < 0.6 * losses[0]
+    model = tmp_path / "person.onnx"
+    export(net, model, 0.01, {"recipe": "test"})
+    assert model.stat().st_size < 4_000_000
+    detector = Detector(model)
+    assert detector.layout == "hsvaos"
+    assert detector.score == pytest.approx(0.01)
+    image = rng.normal(100.0, 5.0, (96, 128, 3)).astype(np.float32)
+    image[40:60, 50:80] += 60.0
+    found = detector.detect(image)
+    boxes, scores = Exported(net).eval()(_input(image))
+    best = int(scores.argmax())
+    assert found.scores[0] == pytest.approx(float(scores[0, best].detach()), rel=1e-3)
+    assert found.boxes_xyxy[0] == pytest.approx(
+        np.clip(boxes[0, best].detach().numpy(), -0.5, [127.5, 95.5] * 2), abs=0.02
+    )
+
+
+def _input(image):
+    from hsvaos.detect.network_input import network_input
+
+    return torch.from_numpy(network_input(image))[None]
+
+
+def test_conditions_disturb_poses_as_much_as_they_say():
+    rng = np.random.default_rng(3)
+    poses = np.tile(np.eye(4), (40, 1, 1))
+    poses[:, 0, 3] = np.arange(40.0)
+    assert np.array_equal(disturbed(poses, Condition(), rng), poses)
+    errors = []
+    for _ in range(30):
+        changed = disturbed(poses, Condition(drift_m=0.3, turn_deg=0.5), rng)
+        turns = changed[:, :3, :3]
+        assert np.allclose(turns @ turns.transpose(0, 2, 1), np.eye(3), atol=1e-9)
+        away = changed[:, :3, 3] - poses[:, :3, 3]
+        assert np.abs(away.mean(axis=0)).max() < 1e-9
+        errors.append(away.std())
+    assert 0.2 < np.mean(errors) < 0.32
+    assert len(conditions(rng)) == CONDITIONS
+
+
+def test_seeds_of_training_tuning_and_tables_are_apart():
+    from bench.paper_flights import FIRST_SEED
+
+    assert FIRST_SEED + 1000 < FIRST_TRAINING_SEED < FIRST_TUNING_SEED
+    one, again, other = (flight_settings(seed) for seed in (100_000, 100_000, 100_001))
+    assert one.fingerprint() == again.fingerprint() != other.fingerprint()

@@ -1,0 +1,1 @@
+"""The recipe of `hsvaos/detect/person.onnx`: simulate, integrate, train, export (extra `train`)."""

@@ -1,0 +1,84 @@
+"""The trained network as ONNX, with what a detector must know of it."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+
+import numpy as np
+import onnx
+import torch
+
+from hsvaos.detect.network_input import CHANNELS, TRAINED_GSD_M
+from train.net import MULTIPLE, Exported, PersonNet
+
+_OPSET = 17
+
+
+def export(net: PersonNet, path: Path, score_threshold: float, story: dict[str, object]) -> None:
+    """Write the network as ONNX of dynamic batch and size.
+
+    Args:
+        net: The trained network.
+        path: The file.
+        score_threshold: Default threshold.
+        story: How it was trained; kept in the metadata.
+    """
+    whole = Exported(net).eval()
+    example = torch.zeros(1, len(CHANNELS), 4 * MULTIPLE, 6 * MULTIPLE)
+    part = path.with_name(path.name + ".part")
+    with warnings.catch_warnings():
+        warnings.simplefilter(
+            "ignore"
+        )  # torch would rather export in its new way, which needs more
+        torch.onnx.export(
+            whole,
+            (example,),
+            str(part),
+            input_names=["input"],
+            output_names=["boxes", "scores"],
+            dynamic_axes={
+                "input": {0: "batch", 2: "height", 3: "width"},
+                "boxes": {0: "batch", 1: "cells"},
+                "scores": {0: "batch", 1: "cells"},
+            },
+            opset_version=_OPSET,
+            dynamo=False,
+        )
+    model = onnx.load(str(part))
+    low, high = TRAINED_GSD_M
+    facts = {
+        "layout": "hsvaos",
+        "names": "{0: 'person'}",
+        "stride": str(MULTIPLE),
+        "channels": ",".join(CHANNELS),
+        "score_threshold": f"{score_threshold:.3f}",
+        "gsd_m": f"{low},{high}",
+        "license": "Apache-2.0",
+        "training": json.dumps(story),
+    }
+    for key, value in facts.items():
+        entry = model.metadata_props.add()
+        entry.key, entry.value = key, value
+    onnx.checker.check_model(model)
+    onnx.save(model, str(part))
+    _compare(whole, part)
+    part.replace(path)
+
+
+def _compare(net: Exported, path: Path) -> None:
+    """Raise unless onnxruntime gives what torch gives, at another size than the example's."""
+    import onnxruntime
+
+    rng = np.random.default_rng(0)
+    x = rng.standard_normal((2, len(CHANNELS), 10 * MULTIPLE, 7 * MULTIPLE), dtype=np.float32)
+    session = onnxruntime.InferenceSession(path.read_bytes(), providers=["CPUExecutionProvider"])
+    have = session.run(["boxes", "scores"], {"input": x})
+    with torch.no_grad():
+        want = [part.numpy() for part in net(torch.from_numpy(x))]
+    for ours, theirs in zip(have, want, strict=True):
+        if not np.allclose(ours, theirs, rtol=1e-3, atol=1e-3):
+            raise RuntimeError(
+                f"{path}: onnxruntime and torch differ by {np.abs(ours - theirs).max():.3g}"
+            )

@@ -1,0 +1,102 @@
+"""Training flights: small simulated forests of every season with many people in them.
+
+Seeds: training flights have seeds from `FIRST_TRAINING_SEED`, those for choosing epochs and
+thresholds from `FIRST_TUNING_SEED`. Tests and tables use other seeds, which are thus unseen.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from hsvaos.camera import Camera
+from hsvaos.simulate.clothes import OUTFITS
+from hsvaos.simulate.forest import ForestSettings
+from hsvaos.simulate.mission import Mission
+from hsvaos.simulate.photo import CameraEffects
+from hsvaos.simulate.record import simulate_flight
+from hsvaos.simulate.settings import SimulationSettings
+from hsvaos.simulate.simulation import Simulation
+
+FIRST_TRAINING_SEED = 100_000
+FIRST_TUNING_SEED = 900_000
+
+_PEOPLE = 34
+_APART_M = 2.7
+_BUSH_SHARE = 0.2
+_THERMAL_SHARE = 0.14
+
+
+def flight_settings(seed: int) -> SimulationSettings:
+    """Return what to simulate for a seed: everything is drawn from it.
+
+    Args:
+        seed: Of the flight.
+    """
+    rng = np.random.default_rng([seed, 301])
+    season = str(rng.choice(["summer", "fall", "snow"], p=[0.42, 0.38, 0.20]))
+    forest = ForestSettings(
+        season=season,
+        seed=seed,
+        density=float(rng.uniform(280.0, 620.0)),
+        leaf_density=float(np.exp(rng.uniform(np.log(0.2), np.log(1.2)))),
+        relief_m=float(rng.uniform(0.1, 0.35)),
+        glades=float(rng.uniform(0.0, 0.3)),
+        bushes=float(rng.uniform(60.0, 300.0)),
+        sun_elevation_deg=float(rng.uniform(22.0, 65.0)),
+        sun_azimuth_deg=float(rng.uniform(0.0, 360.0)),
+        cloud=float(rng.choice([0.0, 0.0, rng.uniform(0.0, 1.0)])),
+    )
+    size = int(rng.choice([704, 832, 960, 1024]))
+    mission = Mission(
+        photos=int(rng.integers(30, 46)),
+        height_m=float(rng.uniform(18.0, 23.0)),
+        photo_distance_m=float(rng.uniform(3.8, 5.4)),
+        strip_distance_m=float(rng.uniform(5.0, 8.4)),
+    )
+    half = np.array(mission.half_m) + 3.0
+    places = _places(rng, half)
+    bush = rng.uniform(size=len(places)) < _BUSH_SHARE
+    return SimulationSettings(
+        forest=forest,
+        mission=mission,
+        camera=Camera.from_fov(size, size, float(rng.uniform(82.0, 92.0))),
+        effects=CameraEffects(
+            defocus_px=float(rng.uniform(0.25, 0.8)),
+            exposure_ev=float(rng.uniform(-0.3, 0.3)),
+            exposure_jitter_ev=float(rng.uniform(0.0, 0.12)),
+        ),
+        people=len(places),
+        classes=tuple("bush" if under else "half" for under in bush),
+        clothes=tuple(str(rng.choice(OUTFITS)) for _ in places),
+        places=places,
+        stakes=int(rng.choice([0, 0, 3])),
+        thermal=bool(rng.uniform() < _THERMAL_SHARE),
+        jpeg_quality=int(rng.integers(88, 98)),
+    )
+
+
+def _places(rng: np.random.Generator, half: np.ndarray) -> tuple[tuple[float, float], ...]:
+    chosen: list[np.ndarray] = []
+    for place in rng.uniform(-half, half, (40 * _PEOPLE, 2)):
+        if all(np.hypot(*(place - other)) > _APART_M for other in chosen):
+            chosen.append(place)
+        if len(chosen) == _PEOPLE:
+            break
+    return tuple((float(n), float(e)) for n, e in chosen)
+
+
+def make_flight(seed: int, folder: Path) -> Path:
+    """Simulate the flight of a seed below a folder, if it is not there yet.
+
+    Args:
+        seed: Of the flight.
+        folder: Of all training flights.
+    """
+    target = folder / f"flight_{seed}"
+    if not target.exists():
+        settings = flight_settings(seed)
+        simulation = Simulation(settings, measure=False)
+        simulate_flight(settings, target, simulation=simulation)
+    return target

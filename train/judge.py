@@ -1,0 +1,105 @@
+"""Average precision of a network on the maps of flights it was not trained on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from torch import nn
+
+from hsvaos.detect.network_input import network_input
+from hsvaos.evaluate.detection import Matches, match_boxes
+from train.maps import PLANES, RARITY_MAP, RAYS
+from train.net import MULTIPLE, Exported, PersonNet
+from train.samples import LEAST_RAYS_SEEN
+
+REACHED = 1.5
+"""Unoccluded rays a point from which a person is to be found; others are ignored."""
+
+_FLOOR = 0.02
+_NMS = 0.25
+
+
+def finds(net: nn.Module, whole: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return boxes and scores of a network's input, without doubles.
+
+    Args:
+        net: The network as exported.
+        whole: Shape (8, H, W), from `network_input`.
+    """
+    height, width = (-(-side // MULTIPLE) * MULTIPLE for side in whole.shape[1:])
+    padded = np.zeros((1, len(whole), height, width), dtype=np.float32)
+    padded[0, :, : whole.shape[1], : whole.shape[2]] = whole
+    with torch.no_grad():
+        boxes, scores = net(torch.from_numpy(padded))
+    boxes, scores = boxes[0].numpy(), scores[0].numpy()
+    chosen = np.flatnonzero(scores > _FLOOR)
+    boxes, scores = boxes[chosen], scores[chosen]
+    corners = np.concatenate([boxes[:, :2], boxes[:, 2:] - boxes[:, :2]], axis=1)
+    kept = np.array(cv2.dnn.NMSBoxes(corners.tolist(), scores.tolist(), _FLOOR, _NMS), dtype=int)
+    return boxes[kept.reshape(-1)], scores[kept.reshape(-1)]
+
+
+def judge(paths: list[Path]) -> Callable[[PersonNet], dict[str, float]]:
+    """Return what measures a network on maps.
+
+    Args:
+        paths: Of maps.
+    """
+
+    def measured(net: PersonNet) -> dict[str, float]:
+        figures = {}
+        for iou, matches in matched(net, paths, (0.10, 0.25, 0.50)).items():
+            curve = matches.curve()
+            figures[f"ap{round(100 * iou)}"] = round(float(curve.ap_coco101 or 0.0), 4)
+            if iou == 0.25:
+                good = curve.precision >= 0.95
+                figures["recall95"] = round(float(curve.recall[good].max(initial=0.0)), 4)
+        return figures
+
+    return measured
+
+
+def threshold(net: PersonNet, paths: list[Path], precision: float = 0.97) -> float:
+    """Return the least score from which the finds on maps have a precision at IoU .25.
+
+    Args:
+        net: The network.
+        paths: Of maps.
+        precision: To be reached; above the .95 that is promised, as other flights differ.
+    """
+    curve = matched(net, paths, (0.25,))[0.25].curve()
+    good = np.flatnonzero(curve.precision >= precision)
+    return round(float(curve.scores[good[-1]]), 3) if good.size else 0.5
+
+
+def matched(net: PersonNet, paths: list[Path], ious: tuple[float, ...]) -> dict[float, Matches]:
+    """Return the finds of a network on maps, matched with the truth, by IoU threshold.
+
+    Args:
+        net: The network.
+        paths: Of maps.
+        ious: Thresholds.
+    """
+    exported = Exported(net).eval()
+    parts: dict[float, list[Matches]] = {iou: [] for iou in ious}
+    for path in paths:
+        with np.load(path) as data:
+            layers = data["layers"].astype(np.float32)
+            truth, rays = data["boxes"], data["rays"]
+        whole = network_input(
+            np.moveaxis(layers[PLANES["rarity"]], 0, 2),
+            layers[RAYS],
+            layers[RARITY_MAP],
+            np.moveaxis(layers[PLANES["plain"]], 0, 2),
+        )
+        boxes, scores = finds(exported, whole)
+        corner = np.array([whole.shape[2] - 1, whole.shape[1] - 1])
+        middle = np.clip(np.rint(0.5 * (boxes[:, :2] + boxes[:, 2:])), 0, corner).astype(int)
+        seen = layers[RAYS][middle[:, 1], middle[:, 0]] >= LEAST_RAYS_SEEN
+        for iou, own in parts.items():
+            own.append(match_boxes(boxes[seen], scores[seen], truth, iou, ignore=rays < REACHED))
+    return {iou: Matches.join(own) for iou, own in parts.items()}

@@ -1,0 +1,184 @@
+"""Ground maps of training flights: what an integral image shows, in several conditions.
+
+Each flight is integrated onto a north-up grid at the sampling of its photos: with true poses, with
+wrong focus, with poses as a filter leaves them or worse, and from a part of its photos.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import hsvaos
+from hsvaos.camera import VirtualCamera
+from hsvaos.kernels.integrate import Integrator
+from hsvaos.masking import make_masks
+from hsvaos.photos import load_photos
+from hsvaos.settings import Settings
+from hsvaos.surface import FocalPlane
+
+PLANES = {"plain": slice(0, 3), "rarity": slice(3, 6), "hue": slice(6, 9)}
+"""Where the three integral images lie in a map; then come rarity map, rays and hue footprint."""
+
+RARITY_MAP, RAYS, HUE_FOOTPRINT = 9, 10, 11
+
+CONDITIONS = 4
+"""Maps of each flight."""
+
+_BORDER_M = 5.0
+
+
+@dataclass(frozen=True)
+class Condition:
+    """How well a flight is integrated.
+
+    Args:
+        focus_m: The focal plane lies this much too low [m].
+        drift_m: Standard deviation of slow position errors, each axis [m].
+        noise_m: The same of errors from photo to photo [m].
+        turn_deg: Standard deviation of attitude errors, each axis [deg].
+        share: Share of the photos used.
+    """
+
+    focus_m: float = 0.0
+    drift_m: float = 0.0
+    noise_m: float = 0.0
+    turn_deg: float = 0.0
+    share: float = 1.0
+
+
+def conditions(rng: np.random.Generator) -> list[Condition]:
+    """Return the conditions of one flight.
+
+    Args:
+        rng: Draws them.
+    """
+    return [
+        Condition(focus_m=float(rng.normal(0.0, 0.12))),
+        Condition(
+            focus_m=float(rng.normal(0.0, 0.2)),
+            drift_m=float(rng.uniform(0.02, 0.10)),
+            noise_m=0.01,
+            turn_deg=float(rng.uniform(0.03, 0.2)),
+        ),
+        Condition(
+            focus_m=float(rng.normal(0.0, 0.35)),
+            drift_m=float(rng.uniform(0.08, 0.35)),
+            noise_m=0.03,
+            turn_deg=float(rng.uniform(0.1, 0.4)),
+        ),
+        Condition(
+            focus_m=float(rng.normal(0.0, 0.2)),
+            drift_m=float(rng.uniform(0.0, 0.05)),
+            share=float(rng.uniform(0.3, 0.75)),
+        ),
+    ]
+
+
+def disturbed(
+    poses: NDArray[np.float64], condition: Condition, rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Return poses with slow and fast errors; over the flight their mean is 0.
+
+    Args:
+        poses: Shape (N, 4, 4), world_from_camera.
+        condition: How large the errors are.
+        rng: Draws them.
+    """
+    count = len(poses)
+    memory = 0.9
+    drift = np.zeros((count, 6))
+    state = rng.standard_normal(6)
+    for k in range(count):
+        state = memory * state + np.sqrt(1.0 - memory**2) * rng.standard_normal(6)
+        drift[k] = state
+    drift -= drift.mean(axis=0)
+    changed = poses.copy()
+    changed[:, :3, 3] += condition.drift_m * drift[:, :3]
+    changed[:, :3, 3] += condition.noise_m * rng.standard_normal((count, 3))
+    angles = np.radians(condition.turn_deg) * drift[:, 3:]
+    for k, (x, y, z) in enumerate(angles):
+        turn = np.array([[1.0, -z, y], [z, 1.0, -x], [-y, x, 1.0]])
+        left, _, right = np.linalg.svd(turn @ poses[k, :3, :3])
+        changed[k, :3, :3] = left @ right
+    return changed
+
+
+def make_maps(folder: Path, target: Path) -> None:
+    """Integrate a flight in all conditions and write one .npz a condition.
+
+    Args:
+        folder: The flight.
+        target: Where the maps go: `NAME_0.npz`, ...
+    """
+    flight = hsvaos.open_flight(folder)
+    truth = json.loads((folder / "truth.json").read_text())
+    seed = int(truth["settings"]["forest"]["seed"])
+    rng = np.random.default_rng([seed, 302])
+    photos = load_photos(flight, 1.0, "cpu", None)
+    masks = make_masks(photos, Settings(), None)
+    reach = np.abs(flight.poses[:, :2, 3]).max(axis=0) + _BORDER_M
+    gsd = float(np.median(-flight.poses[:, 2, 3])) / flight.camera.fx
+    width, height = (int(2.0 * side / gsd) for side in reach[::-1])
+    view = VirtualCamera.ortho(float(reach[0]), float(-reach[1]), gsd, width, height)
+    counts = np.array(truth["pixels"]["by_photo"], dtype=np.float64)
+    shares = np.where(counts[..., 1] >= 12, counts[..., 0] / np.maximum(counts[..., 1], 1.0), 0.0)
+    boxes = np.array([_box(view, np.array(p["outline_ned_m"])) for p in truth["people"]])
+    for number, condition in enumerate(conditions(rng)):
+        path = target / f"{folder.name}_{number}.npz"
+        chosen = np.arange(len(flight.poses))
+        if condition.share < 1.0:
+            kept = max(6, round(condition.share * len(chosen)))
+            chosen = np.sort(rng.permutation(chosen)[:kept])
+        poses = disturbed(flight.poses, condition, rng)
+        layers = _layers(photos, masks, poses, view, FocalPlane(condition.focus_m), chosen)
+        part = path.with_suffix(".part.npz")
+        np.savez(
+            part,
+            layers=layers.astype(np.float16),
+            boxes=boxes,
+            rays=shares[chosen].sum(axis=0),
+            gsd=gsd,
+            colour=photos.is_colour,
+        )
+        part.replace(path)
+
+
+def _box(view: VirtualCamera, outline: NDArray[np.float64]) -> NDArray[np.float64]:
+    pixels = view.project(outline)
+    return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
+
+
+def _layers(
+    photos: Any,
+    masks: Any,
+    poses: NDArray[np.float64],
+    view: VirtualCamera,
+    plane: FocalPlane,
+    chosen: NDArray[np.int64],
+) -> NDArray[np.float32]:
+    camera = photos.flight.camera
+
+    def integral(images: Any, weights: Any, gains: Any = None) -> tuple[Any, Any]:
+        integrator = Integrator(camera, images, poses, weights, gains=gains)
+        image, footprint = integrator.integrate(view, plane, frames=chosen)
+        return np.asarray(image.numpy()), np.asarray(footprint.numpy())
+
+    layers = np.zeros((12, view.height, view.width), dtype=np.float32)
+    plain, rays = integral(photos.images, photos.valid)
+    rare, _ = integral(photos.images, masks.rarity, masks.gains)
+    rarity_map, _ = integral(masks.rarity, photos.valid)
+    hue, kept = plain, rays
+    if masks.brightened is not None:
+        hue, kept = integral(masks.brightened, masks.hue)
+    for name, picture in (("plain", plain), ("rarity", rare), ("hue", hue)):
+        layers[PLANES[name]] = np.moveaxis(picture, 2, 0)  # grey fills all three
+    layers[RARITY_MAP] = rarity_map[..., 0]
+    layers[RAYS] = rays
+    layers[HUE_FOOTPRINT] = kept
+    return layers

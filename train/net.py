@@ -1,0 +1,106 @@
+"""The person network: small, anchor-free, one scale (stride 8)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+STRIDE = 8
+MULTIPLE = 16
+"""Sides of the input must be multiples of this."""
+
+SIZE_UNIT = 16.0
+"""Box sides are learned as logarithms in this unit [px]."""
+
+
+def _conv(before: int, after: int, size: int = 3, stride: int = 1) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Conv2d(before, after, size, stride, size // 2, bias=False),
+        nn.BatchNorm2d(after),
+        nn.ReLU(inplace=True),
+    )
+
+
+class _Residual(nn.Module):
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.first = _conv(width, width)
+        self.second = nn.Sequential(
+            nn.Conv2d(width, width, 3, 1, 1, bias=False), nn.BatchNorm2d(width)
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        return F.relu(x + self.second(self.first(x)), inplace=True)
+
+
+class PersonNet(nn.Module):
+    """Maps the 8 channels of `network_input` to a score and a box at every eighth pixel.
+
+    Args:
+        channels: Input channels.
+    """
+
+    def __init__(self, channels: int = 8) -> None:
+        super().__init__()
+        self.stem = nn.Sequential(_conv(channels, 24, 5, 2), _conv(24, 40, 3, 2), _Residual(40))
+        self.middle = nn.Sequential(_conv(40, 72, 3, 2), _Residual(72), _Residual(72))
+        self.deep = nn.Sequential(_conv(72, 96, 3, 2), _Residual(96))
+        self.lift = _conv(96, 72, 1)
+        self.join = _conv(144, 72)
+        self.head = _conv(72, 64)
+        self.score = nn.Conv2d(64, 1, 1)
+        self.box = nn.Conv2d(64, 4, 1)
+        nn.init.constant_(self.score.bias, -4.6)
+
+    def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Return logits (B, 1, h, w) and box values (B, 4, h, w): dx, dy, log w, log h."""
+        middle = self.middle(self.stem(x))
+        deep = F.interpolate(self.lift(self.deep(middle)), scale_factor=2.0, mode="nearest")
+        joined = self.head(self.join(torch.cat([middle, deep], dim=1)))
+        return self.score(joined), self.box(joined)
+
+
+def cell_centres(height: int, width: int) -> Tensor:
+    """Return the centres of the cells, shape (h * w, 2), x and y [px], pixel centres at integers.
+
+    Args:
+        height: Rows of cells.
+        width: Columns of cells.
+    """
+    y, x = torch.meshgrid(
+        torch.arange(height, dtype=torch.float32),
+        torch.arange(width, dtype=torch.float32),
+        indexing="ij",
+    )
+    return torch.stack([x, y], dim=-1).reshape(-1, 2) * STRIDE + (STRIDE - 1) / 2.0
+
+
+def boxes_of(values: Tensor, centres: Tensor) -> Tensor:
+    """Return boxes xyxy [px], shape (..., 4), of box values (..., 4) at cell centres (..., 2)."""
+    middle = centres + values[..., :2] * STRIDE
+    half = 0.5 * SIZE_UNIT * torch.exp(values[..., 2:].clamp(-4.0, 4.0))
+    return torch.cat([middle - half, middle + half], dim=-1)
+
+
+class Exported(nn.Module):
+    """The network as it is shipped: input to boxes (B, N, 4) and scores (B, N).
+
+    Args:
+        net: The trained network.
+    """
+
+    def __init__(self, net: PersonNet) -> None:
+        super().__init__()
+        self.net = net
+
+    def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Return boxes xyxy [px] and scores 0..1 of every cell."""
+        logits, values = self.net(x)
+        # cumulative sums instead of arange: they follow dynamic sizes through the export
+        ones = torch.ones_like(logits)
+        column = (torch.cumsum(ones, dim=3) - 1.0) * STRIDE + (STRIDE - 1) / 2.0
+        row = (torch.cumsum(ones, dim=2) - 1.0) * STRIDE + (STRIDE - 1) / 2.0
+        centres = torch.cat([column, row], dim=1).flatten(2).transpose(1, 2)
+        boxes = boxes_of(values.flatten(2).transpose(1, 2), centres)
+        return boxes, torch.sigmoid(logits).flatten(1)

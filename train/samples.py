@@ -1,0 +1,166 @@
+"""Training crops: a map, an image kind, what is known of it, a scale, a turn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hsvaos.detect.network_input import TRAINED_GSD_M, network_input
+from train.maps import HUE_FOOTPRINT, PLANES, RARITY_MAP, RAYS
+
+CROP_PX = 256
+LEAST_RAYS = 1.5
+"""People with fewer unoccluded rays a point are neither wanted nor forbidden."""
+
+LEAST_RAYS_SEEN = 3.0
+"""Ground seen by fewer photos is not taught."""
+
+_KINDS = ("rarity", "hue", "plain")
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One crop.
+
+    Args:
+        whole: Shape (8, 256, 256), float32, the network's input.
+        boxes: Shape (K, 4), xyxy [px], people to find.
+        ignored: Shape (M, 4), people who cannot be seen.
+    """
+
+    whole: NDArray[np.float32]
+    boxes: NDArray[np.float64]
+    ignored: NDArray[np.float64]
+
+
+def visit(path: Path, rng: np.random.Generator, crops: int) -> list[Sample]:
+    """Draw one look of a map, and crops from it.
+
+    Args:
+        path: Of a map, see `train.maps`.
+        rng: Draws everything.
+        crops: How many.
+    """
+    with np.load(path) as data:
+        layers = data["layers"].astype(np.float32)
+        boxes, rays, gsd = data["boxes"], data["rays"], float(data["gsd"])
+        colour = bool(data["colour"])
+    layers, boxes = _scaled(layers, boxes, gsd, rng)
+    layers, boxes = _turned(layers, boxes, rng)
+    whole = _look(layers, colour, rng)
+    height, width = whole.shape[1:]
+    middle = 0.5 * (boxes[:, :2] + boxes[:, 2:])
+    seen = _seen_at(layers[RAYS], middle)
+    wanted = (rays >= LEAST_RAYS) & seen
+    samples = []
+    for _ in range(crops):
+        if wanted.any() and rng.uniform() < 0.75:
+            at = middle[rng.choice(np.flatnonzero(wanted))]
+            corner = at - rng.uniform(0.1, 0.9, 2) * CROP_PX
+        else:
+            corner = rng.uniform(0.0, 1.0, 2) * (np.array([width, height]) - CROP_PX)
+        x, y = np.clip(corner, 0, np.maximum([width - CROP_PX, height - CROP_PX], 0)).astype(int)
+        part = np.zeros((len(whole), CROP_PX, CROP_PX), dtype=np.float32)
+        cut = whole[:, y : y + CROP_PX, x : x + CROP_PX]
+        part[:, : cut.shape[1], : cut.shape[2]] = cut
+        inside = (middle > [x, y]).all(axis=1) & (middle < [x + CROP_PX, y + CROP_PX]).all(axis=1)
+        moved = boxes - [x, y, x, y]
+        near = (moved[:, 2:] > 0.0).all(axis=1) & (moved[:, :2] < CROP_PX).all(axis=1)
+        samples.append(Sample(part, moved[inside & wanted], moved[near & ~(inside & wanted)]))
+    return samples
+
+
+def _scaled(
+    layers: NDArray[np.float32], boxes: NDArray[np.float64], gsd: float, rng: np.random.Generator
+) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    low, high = TRAINED_GSD_M
+    wanted = float(np.exp(rng.uniform(np.log(max(low, 0.9 * gsd)), np.log(high))))
+    if rng.uniform() < 0.65:  # what users mostly look at: finer photos are brought to 5 cm
+        wanted = float(np.clip(max(gsd, 0.05) * rng.uniform(0.93, 1.1), low, high))
+    factor = gsd / wanted
+    height, width = (max(CROP_PX // 2, round(side * factor)) for side in layers.shape[1:])
+    way = cv2.INTER_AREA if factor < 0.95 else cv2.INTER_LINEAR
+    small = np.stack([cv2.resize(layer, (width, height), interpolation=way) for layer in layers])
+    scale = np.array([width / layers.shape[2], height / layers.shape[1]] * 2)
+    return small, (boxes + 0.5) * scale - 0.5
+
+
+def _turned(
+    layers: NDArray[np.float32], boxes: NDArray[np.float64], rng: np.random.Generator
+) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    if rng.uniform() < 0.5:
+        layers, boxes = layers.transpose(0, 2, 1), boxes[:, [1, 0, 3, 2]]
+    height, width = layers.shape[1:]
+    if rng.uniform() < 0.5:
+        layers = layers[:, :, ::-1]
+        boxes = np.stack(
+            [width - 1 - boxes[:, 2], boxes[:, 1], width - 1 - boxes[:, 0], boxes[:, 3]], axis=1
+        )
+    if rng.uniform() < 0.5:
+        layers = layers[:, ::-1]
+        boxes = np.stack(
+            [boxes[:, 0], height - 1 - boxes[:, 3], boxes[:, 2], height - 1 - boxes[:, 1]], axis=1
+        )
+    return np.ascontiguousarray(layers), boxes
+
+
+def _look(layers: NDArray[np.float32], colour: bool, rng: np.random.Generator) -> NDArray:  # type: ignore[type-arg]
+    """Return the network's input for what a user may have: a kind of image, and more or less."""
+    kind = str(rng.choice(_KINDS, p=[0.6, 0.2, 0.2]))
+    image = np.moveaxis(layers[PLANES[kind]], 0, 2)
+    plain = np.moveaxis(layers[PLANES["plain"]], 0, 2)
+    rays, rarity = layers[RAYS], layers[RARITY_MAP]
+    if kind == "hue":  # no sample is not black
+        image = np.where(layers[HUE_FOOTPRINT, ..., None] > 0.0, image, np.float32(np.nan))
+    alone = rng.uniform() < (0.25 if colour else 0.6)
+    if not alone:
+        if kind == "hue" and rng.uniform() < 0.3:
+            rays = layers[HUE_FOOTPRINT]
+        known = rng.uniform(size=3) < [0.9, 0.9, 0.85]
+        if kind == "rarity" and rng.uniform() < 0.6:
+            known[:] = True  # as `hsvaos run` gives it
+        return _jittered(
+            network_input(
+                image,
+                rays if known[0] else None,
+                rarity if known[1] else None,
+                plain if known[2] else None,
+            ),
+            rng,
+        )
+    image = image.copy()
+    if not colour or rng.uniform() < 0.4:
+        grey = image @ rng.dirichlet(np.ones(3)).astype(np.float32)
+        if rng.uniform() < 0.4:  # white hot and black hot
+            grey = np.nanmax(grey, initial=0.0) - grey
+        image = np.repeat(grey[..., None], 3, axis=2)
+    elif rng.uniform() < 0.5:
+        image = image[..., rng.permutation(3)]
+    if rng.uniform() < 0.3:
+        blurred = cv2.GaussianBlur(np.nan_to_num(image), (0, 0), float(rng.uniform(0.4, 1.4)))
+        image = np.where(np.isnan(image), image, blurred)
+    if rng.uniform() < 0.3:
+        image = 255.0 * np.power(np.clip(image / 255.0, 0.0, 1.0), rng.uniform(0.6, 1.6))
+    image[layers[RAYS] <= 0.0] = np.nan if rng.uniform() < 0.5 else 0.0
+    return _jittered(network_input(image), rng)
+
+
+def _jittered(whole: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
+    """Vary contrast and noise a little."""
+    if rng.uniform() < 0.5:
+        whole[:7] *= np.exp(rng.normal(0.0, 0.15, (7, 1, 1))).astype(np.float32)
+    if rng.uniform() < 0.3:
+        noise = rng.standard_normal(whole[:6].shape, dtype=np.float32)
+        whole[:6] += np.float32(rng.uniform(0.0, 0.06)) * noise * (whole[:6] != 0.0)
+    return whole
+
+
+def _seen_at(rays: NDArray[np.float32], places: NDArray[np.float64]) -> NDArray[np.bool_]:
+    height, width = rays.shape
+    inside = (places > 2).all(axis=1) & (places < [width - 3, height - 3]).all(axis=1)
+    at = np.clip(np.rint(places).astype(int), 0, [width - 1, height - 1])
+    return np.asarray(inside & (rays[at[:, 1], at[:, 0]] >= LEAST_RAYS_SEEN))
