@@ -12,7 +12,9 @@ from hsvaos.hue_statistics import HueStatistics
 from hsvaos.kernels.anomaly import rx_masks
 from hsvaos.kernels.color import brighten
 from hsvaos.kernels.hue_mask import apply_hue_cut, measure_hue
+from hsvaos.kernels.hue_pack import cut_and_pack
 from hsvaos.kernels.levels import channel_quantiles, level_gains
+from hsvaos.kernels.packing import Packed
 from hsvaos.kernels.rarity import rarity_weights
 from hsvaos.photos import Photos, Progress
 from hsvaos.settings import MaskSettings, Settings
@@ -29,7 +31,10 @@ class Masks:
         hue: Shape (N, H, W), uint8, the hue cut; None for grey photos.
         rarity: Shape (N, H, W), float32, rarity weights.
         anomaly: Shape (N, H, W), uint8, RX masks; None unless asked for.
-        brightened: Photos levelled, and their kept dark pixels brightened; None where not wanted.
+        brightened: Photos levelled, and their kept dark pixels brightened; None where not wanted,
+            and where `packed` holds them.
+        packed: These brightened photos under the hue cut, as an `Integrator` takes them, where cut
+            and brightening were made in one pass.
         hue_stats: Statistics of each photo; empty for grey photos.
         hue_histogram: Shape (B,), float64, over the flight; None for grey photos.
         stats: What reports say of the mask.
@@ -41,6 +46,7 @@ class Masks:
     rarity: Any
     anomaly: Any
     brightened: Any
+    packed: Packed | None
     hue_stats: list[HueStatistics]
     hue_histogram: NDArray[np.float64] | None
     stats: dict[str, Any]
@@ -65,12 +71,16 @@ def make_masks(photos: Photos, settings: Settings, progress: Progress | None = N
     if settings.photos.level and photos.is_colour:
         gains = level_gains(channel_quantiles(images, valid=valid))
     step("levelling exposure")
-    hue, histogram = None, None
+    hue, histogram, packed = None, None, None
+    amount = {"target_value": mask.target_value, "gamma": mask.gamma, "max_gain": mask.max_gain}
     stats: list[HueStatistics] = []
     if photos.is_colour:
-        cut = (mask.sigmas, mask.statistics, mask.scope)
-        stats, histogram = measure_hue(images, *cut, valid=valid, gains=gains)
-        hue = apply_hue_cut(images, stats, valid=valid, gains=gains)
+        how = (mask.sigmas, mask.statistics, mask.scope)
+        stats, histogram = measure_hue(images, *how, valid=valid, gains=gains)
+        cut = None
+        if mask.brighten:
+            cut = cut_and_pack(images, stats, valid=valid, gains=gains, brightening=amount)
+        hue, packed = cut or (apply_hue_cut(images, stats, valid=valid, gains=gains), None)
     step("cutting hues")
     threshold = mask.rarity_threshold if photos.is_colour else mask.grey_rarity_threshold
     rarity, _ = rarity_weights(
@@ -88,12 +98,11 @@ def make_masks(photos: Photos, settings: Settings, progress: Progress | None = N
         anomaly, _ = rx_masks(images, mask.anomaly_quantile, valid=valid)
     step("finding anomalies")
     brightened = None
-    if mask.brighten and hue is not None:
-        amount = {"target_value": mask.target_value, "gamma": mask.gamma, "max_gain": mask.max_gain}
+    if mask.brighten and hue is not None and packed is None:
         brightened = brighten(images, hue, gains=gains, **amount)
     step("brightening")
     summary, notes = _summary(photos, mask, hue, stats, anomaly)
-    return Masks(gains, hue, rarity, anomaly, brightened, stats, histogram, summary, notes)
+    return Masks(gains, hue, rarity, anomaly, brightened, packed, stats, histogram, summary, notes)
 
 
 class _Steps:

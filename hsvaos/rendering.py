@@ -16,6 +16,7 @@ from hsvaos.finding import Finder
 from hsvaos.flight import Flight, FlightError
 from hsvaos.ground_map import GroundMap, Layer, grid_for, integrate_ground
 from hsvaos.kernels.integrate import Integrator
+from hsvaos.kernels.packing import Packed
 from hsvaos.kernels.rays import focal_points
 from hsvaos.masking import Masks
 from hsvaos.photos import Photos
@@ -151,12 +152,16 @@ def make_integrators(photos: Photos, masks: Masks, method: str) -> Integrators:
     """
     camera, poses = photos.flight.camera, photos.flight.poses
 
-    def weighed(images: Any, weights: Any, gains: Any = None) -> Integrator:
-        return Integrator(camera, images, poses, weights, gains=gains)
+    def weighed(
+        images: Any, weights: Any, gains: Any = None, packed: Packed | None = None
+    ) -> Integrator:
+        return Integrator(camera, images, poses, weights, gains=gains, packed=packed)
 
     hue = None
     if masks.brightened is not None:
         hue = weighed(masks.brightened, masks.hue)
+    elif masks.packed is not None:  # levelled already
+        hue = weighed(photos.images, masks.hue, packed=masks.packed)
     elif masks.hue is not None:
         hue = weighed(photos.images, masks.hue, masks.gains)
     plain = weighed(photos.images, photos.valid)
