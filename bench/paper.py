@@ -19,7 +19,6 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -40,6 +39,7 @@ from hsvaos.kernels.integrate import Integrator
 from hsvaos.kernels.rays import focal_points
 from hsvaos.masking import make_masks
 from hsvaos.photos import Photos, load_photos
+from hsvaos.rendering import make_integrators
 from hsvaos.settings import DetectSettings, Settings, ViewSettings
 from hsvaos.surface import FocalPlane
 
@@ -120,23 +120,17 @@ def integrators(photos: Photos, ablation: bool) -> dict[str, Integrator]:
     """Return the integrators of a flight, by layer."""
     settings = Settings().with_values(mask={"statistics": "linear"}, detect={"method": "anomaly"})
     masks = make_masks(photos, settings)
-    camera, poses = photos.flight.camera, photos.flight.poses
-
-    def weighed(images: Any, weights: Any, gains: Any = None) -> Integrator:
-        return Integrator(camera, images, poses, weights, gains=gains)
-
-    found = {
-        "plain": weighed(photos.images, photos.valid),
-        "hue": weighed(masks.brightened, masks.hue),
-        "rarity": weighed(photos.images, masks.rarity, masks.gains),
-        "rarity_map": weighed(masks.rarity, photos.valid),
-    }
-    if ablation:
+    by = make_integrators(photos, masks, "hue")
+    found = {"plain": by.plain, "rarity": by.rarity, "rarity_map": by.rarity_map}
+    if by.hue is not None:
+        found["hue"] = by.hue
+    if ablation and by.anomaly_map is not None:
+        camera, poses = photos.flight.camera, photos.flight.poses
         product = masks.rarity.numpy() * (masks.hue.numpy() > 0)
         found |= {
-            "hue_dark": weighed(photos.images, masks.hue, masks.gains),
-            "rarity_hue": weighed(photos.images, product, masks.gains),
-            "anomaly_map": weighed(masks.anomaly, photos.valid),
+            "hue_dark": Integrator(camera, photos.images, poses, masks.hue, gains=masks.gains),
+            "rarity_hue": Integrator(camera, photos.images, poses, product, gains=masks.gains),
+            "anomaly_map": by.anomaly_map,
         }
     return found
 
@@ -200,7 +194,7 @@ def posed(flight: Flight, folder: Path, track: str) -> Flight:
     """Return the flight with true poses, or those of the package's filter and smoother."""
     if track == "true":
         return flight
-    by_name = {row.file: row.pose for row in read_poses(folder / "poses_ekf.csv")}
+    by_name = {row.name: row.world_from_camera for row in read_poses(folder / "poses_ekf.csv")}
     frames = tuple(replace(f, world_from_camera=by_name[f.name]) for f in flight.frames)
     return flight.replace(frames=frames)
 
