@@ -30,7 +30,7 @@ from hsvaos.detect.locate import ViewFinds, box_places, merge_views
 from hsvaos.detect.yolo import Detector
 from hsvaos.evaluate.results import FlightResult, JudgedView
 from hsvaos.evaluate.seen import ground_seen_ha
-from hsvaos.evaluate.truth import read_people, truth_boxes
+from hsvaos.evaluate.truth import read_truth, truth_boxes
 from hsvaos.flight import Flight
 from hsvaos.formats.poses import read_poses
 from hsvaos.ground_map import GroundMap, Layer, grid_for
@@ -139,7 +139,9 @@ def measure(
     folder: Path, track: str, use: dict[str, Method], device: str = "cpu"
 ) -> dict[str, FlightResult]:
     """Return the result of every method on one flight."""
-    flight = posed(hsvaos.open_flight(folder), folder, track)
+    true = hsvaos.open_flight(folder)
+    people = read_truth(true)
+    flight = posed(true, folder, track)
     photos = load_photos(flight, device=device)
     flight = photos.flight
     surface = FocalPlane(flight.ground_down_m or 0.0)
@@ -157,7 +159,6 @@ def measure(
         image, footprint = integrator.integrate(grid, surface)
         layers[name] = (np.asarray(image.numpy()), np.asarray(footprint.numpy()))
     ground = GroundMap(grid, layers)
-    people = read_people(folder / "truth.json")
     area = ground_seen_ha(flight, surface)
     judged: dict[str, list[JudgedView]] = {name: [] for name in use}
     reported: dict[str, list[ViewFinds]] = {name: [] for name in use}
