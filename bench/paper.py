@@ -212,24 +212,30 @@ def run(flights: Path, results: Path, part: int, parts: int) -> None:
     folders = sorted(p for p in flights.iterdir() if (p / "truth.json").exists())
     folders.sort(key=lambda p: p.name.rsplit("_", 1)[::-1])  # seed by seed, all forests
     first = [f"_{seed}" for seed in range(FIRST_SEED, FIRST_SEED + ABLATION_SEEDS)]
-    for folder in folders[part::parts]:
-        for track in ("true", "ekf"):
-            wanted = {
-                name: method
-                for name, method in known.items()
-                if track in method.tracks
-                and (method.everywhere or folder.name.endswith(tuple(first)))
-                and not _file(results, folder.name, track, name).exists()
-            }
-            if not wanted:
-                continue
-            began = time.monotonic()
-            for name, result in measure(folder, track, wanted).items():
-                path = _file(results, folder.name, track, name)
-                partial = path.with_suffix(".part")
-                partial.write_text(result.to_json())
-                partial.replace(path)
-            print(f"{folder.name} {track}: {time.monotonic() - began:.0f} s", flush=True)
+    for everywhere in (True, False):  # what all tables need comes first
+        for folder in folders[part::parts]:
+            for track in ("true", "ekf"):
+                wanted = {
+                    name: method
+                    for name, method in known.items()
+                    if track in method.tracks
+                    and method.everywhere == everywhere
+                    and (everywhere or folder.name.endswith(tuple(first)))
+                    and not _file(results, folder.name, track, name).exists()
+                }
+                if wanted:
+                    _measure_all(folder, track, wanted, results)
+
+
+def _measure_all(folder: Path, track: str, wanted: dict[str, Method], results: Path) -> None:
+    began = time.monotonic()
+    for name, result in measure(folder, track, wanted).items():
+        path = _file(results, folder.name, track, name)
+        partial = path.with_suffix(".part")
+        partial.write_text(result.to_json())
+        partial.replace(path)
+    seconds = time.monotonic() - began
+    print(f"{folder.name} {track}, {len(wanted)} methods: {seconds:.0f} s", flush=True)
 
 
 def _file(results: Path, flight: str, track: str, method: str) -> Path:
