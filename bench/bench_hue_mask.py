@@ -11,6 +11,9 @@ from bench.data import photos
 from bench.harness import Contenders, size
 from hsvaos import hue_masks, reference
 from hsvaos.hue_statistics import BINS, hue_statistics
+from hsvaos.kernels.device import threads
+from hsvaos.kernels.hue_mask import measure_hue
+from hsvaos.kernels.hue_pack import cut_and_pack
 
 
 def hue_cut() -> Contenders:
@@ -39,7 +42,30 @@ def hue_cut() -> Contenders:
     }
 
 
-RACES = {"hue statistics and mask, 1 photo": hue_cut}
+def one_pass() -> Contenders:
+    images = photos(1, size(1024))
+    stats, _ = measure_hue(images)
+    masks, packed = cut_and_pack(images, stats)
+    bright = {"target_value": 0.25, "gamma": 0.6, "max_gain": 3.0}
+    out = np.empty_like(images[0])
+    cv2.setNumThreads(threads())
+
+    def ours(brightening: Any) -> Any:
+        return lambda: cut_and_pack(
+            images, stats, brightening=brightening, out=masks, photos=packed
+        )
+
+    return {
+        "hsvaos HSV + mask + pack": ours(None),
+        "hsvaos HSV + mask + brighten + pack": ours(bright),
+        "OpenCV cvtColor alone, 8 bit": lambda: cv2.cvtColor(images[0], cv2.COLOR_RGB2HSV, out),
+    }
+
+
+RACES = {
+    "hue statistics and mask, 1 photo": hue_cut,
+    "HSV, mask and packing in one pass, 1 photo": one_pass,
+}
 
 
 def test_race(benchmark: Any, contender: tuple[str, str]) -> None:

@@ -1,59 +1,92 @@
-"""One integral image against the NumPy twin and OpenCV's warpPerspective."""
+"""Integral images against the NumPy twin, the plain kernel, OpenCV, numba and PyTorch."""
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
-import cv2
 import numpy as np
 
 from bench.data import lawnmower, masks, photos
 from bench.harness import Contenders, size
+from bench.peers import PEERS, opencv, plane_homography, premultiply
 from hsvaos import FocalPlane, Integrator, reference
 
 FRAMES = 12
+FLIGHT = 117
+"""Photos of the paper's mission."""
+
+
+class Scene:
+    """Photos with masks, poses and one view, for us and in the peers' best form."""
+
+    def __init__(self, frames: int, side: int, view_side: int | None = None) -> None:
+        self.camera, self.poses, self.view = lawnmower(frames, side, view_side)
+        self.images, self.weights = photos(frames, side), masks(frames, side)
+        self.surface = FocalPlane(0.0)
+        self.side = self.view.width
+        shape = (self.side, self.side)
+        self.out = (np.empty((*shape, 3), np.float32), np.empty(shape, np.float32))
+
+    def ours(self) -> Any:
+        integrator = Integrator(self.camera, self.images, self.poses, self.weights)
+        return lambda: integrator.integrate(self.view, self.surface, out=self.out)
+
+    def plain(self) -> Any:
+        integrator = Integrator(self.camera, self.images, self.poses, self.weights)
+        integrator._packed = None  # as if there were no packed form
+        return lambda: integrator.integrate(self.view, self.surface, out=self.out)
+
+    def peer(self, make: Any) -> Any:
+        to_view = np.linalg.inv(self.camera.matrix()) @ self.view.camera.matrix()
+        homographies = [
+            plane_homography(self.camera.matrix(), self.view, pose, 0.0) @ np.linalg.inv(to_view)
+            for pose in self.poses
+        ]
+        return make(premultiply(self.images, self.weights), homographies, self.side)
+
+    def twin(self) -> Any:
+        place = (self.camera, self.images, self.poses, self.view, self.surface)
+        return lambda: reference.integrate(*place, self.weights)
 
 
 def integral() -> Contenders:
-    side = size(1024)
-    camera, poses, view = lawnmower(FRAMES, side)
-    images, weights = photos(FRAMES, side), masks(FRAMES, side)
-    integrator = Integrator(camera, images, poses, weights)
-    out = (np.empty((side, side, 3), np.float32), np.empty((side, side), np.float32))
-    surface = FocalPlane(0.0)
-    homographies = [plane_homography(camera.matrix(), view, pose) for pose in poses]
-    premultiplied = [
-        np.dstack([image * (weight[..., None] > 0), weight])
-        for image, weight in zip(images, weights, strict=True)
-    ]
-
-    def opencv() -> None:
-        total = np.zeros((side, side, 4), np.float32)
-        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        for picture, homography in zip(premultiplied, homographies, strict=True):
-            warped = cv2.warpPerspective(picture, homography, (side, side), flags=flags)
-            cv2.accumulate(warped, total)
-        total[..., :3] /= np.maximum(total[..., 3:] / 255.0, 1e-6)
-
+    scene = Scene(FRAMES, size(1024))
     return {
-        "hsvaos kernel": lambda: integrator.integrate(view, surface, out=out),
-        "NumPy twin": lambda: reference.integrate(camera, images, poses, view, surface, weights),
-        "OpenCV warpPerspective + accumulate": opencv,
+        "hsvaos kernel": scene.ours(),
+        "NumPy twin": scene.twin(),
+        "OpenCV warpPerspective + accumulate": scene.peer(opencv),
     }
 
 
-def plane_homography(matrix: np.ndarray, view: Any, pose: np.ndarray) -> np.ndarray:
-    """Pixels of a photo for pixels of the view, over the plane down = 0."""
-
-    def image_from_plane(world_from_camera: np.ndarray) -> np.ndarray:
-        rotation = world_from_camera[:3, :3].T
-        shift = rotation @ -world_from_camera[:3, 3]
-        return matrix @ np.column_stack([rotation[:, 0], rotation[:, 1], shift])
-
-    return image_from_plane(pose) @ np.linalg.inv(image_from_plane(view.world_from_camera))
+def flight() -> Contenders:
+    scene = Scene(size(FLIGHT, 3), size(1024))
+    contenders = {"hsvaos kernel": scene.ours()}
+    contenders |= {name: scene.peer(make) for name, make in PEERS.items()}
+    contenders["hsvaos plain kernel"] = scene.plain()
+    return {name: work for name, work in contenders.items() if work is not None}
 
 
-RACES = {f"integral image, {FRAMES} RGB photos with masks": integral}
+def scaled(frames: int, side: int, view_side: int) -> Contenders:
+    scene = Scene(size(frames, 2), size(side), size(view_side))
+    return {
+        "hsvaos kernel": scene.ours(),
+        "OpenCV warpPerspective + accumulate": scene.peer(opencv),
+    }
+
+
+RACES: dict[str, Any] = {
+    f"integral image, {FRAMES} RGB photos with masks": integral,
+    f"integral image, {FLIGHT} RGB photos with masks": flight,
+}
+RACES |= {
+    f"integral image 512 x 512, {frames} photos of 512 x 512": partial(scaled, frames, 512, 512)
+    for frames in (1, 10, 100, 1000)
+}
+RACES |= {
+    f"integral image {side} x {side}, 30 photos": partial(scaled, 30, 1024, side)
+    for side in (256, 512, 2048)
+}
 
 
 def test_race(benchmark: Any, contender: tuple[str, str]) -> None:

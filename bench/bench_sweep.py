@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from bench.data import lawnmower, photos
+from bench.data import lawnmower, masks, photos
 from bench.harness import Contenders, size
+from bench.peers import opencv, plane_homography, premultiply
 from hsvaos import FocalPlane, Integrator, focus_measure, reference
 
 FRAMES, PLANES = 6, 4
@@ -27,6 +28,25 @@ def focal_stack() -> Contenders:
     }
 
 
+def deep_stack() -> Contenders:
+    side, frames = size(512), size(30, 2)
+    camera, poses, view = lawnmower(frames, side)
+    images, weights = photos(frames, side), masks(frames, side)
+    integrator = Integrator(camera, images, poses, weights)
+    downs = np.linspace(-3.0, 0.0, size(32, 2))
+    shape = (len(downs), side, side)
+    out = (np.empty((*shape, 3), np.float32), np.empty(shape, np.float32))
+    ready = premultiply(images, weights)
+    planes = [
+        opencv(ready, [plane_homography(camera.matrix(), view, pose, down) for pose in poses], side)
+        for down in downs
+    ]
+    return {
+        "hsvaos kernel": lambda: integrator.sweep(view, downs, out=out),
+        "OpenCV warpPerspective + accumulate": lambda: [plane() for plane in planes],
+    }
+
+
 def focus() -> Contenders:
     side = size(128)  # the twin loops over pixels in Python
     stack = np.random.default_rng(0).random((1, side, side, 1)).astype(np.float32)
@@ -38,6 +58,7 @@ def focus() -> Contenders:
 
 
 RACES = {
+    "focal stack, 32 planes 512 x 512, 30 photos 512 x 512 with masks": deep_stack,
     f"focal stack, {PLANES} planes, {FRAMES} photos": focal_stack,
     "focus measure, 128 x 128 px": focus,
 }

@@ -5,7 +5,7 @@
     python bench/paper.py poses FLIGHTS RESULTS    errors of the poses against the truth
     python bench/paper.py table RESULTS            bench/PAPER.md and its figures from what is there
 
-Every fourth stored pose is a virtual camera, drawn at 5 cm a pixel, the sampling at which the
+Every sixth stored pose is a virtual camera, drawn at 5 cm a pixel, the sampling at which the
 network looks anyway. A ground point shows the same from all of them, so more views are not more
 evidence.
 """
@@ -19,7 +19,6 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -31,7 +30,7 @@ from hsvaos.detect.locate import ViewFinds, box_places, merge_views
 from hsvaos.detect.yolo import Detector
 from hsvaos.evaluate.results import FlightResult, JudgedView
 from hsvaos.evaluate.seen import ground_seen_ha
-from hsvaos.evaluate.truth import read_people, truth_boxes
+from hsvaos.evaluate.truth import read_truth, truth_boxes
 from hsvaos.flight import Flight
 from hsvaos.formats.poses import read_poses
 from hsvaos.ground_map import GroundMap, Layer, grid_for
@@ -40,6 +39,7 @@ from hsvaos.kernels.integrate import Integrator
 from hsvaos.kernels.rays import focal_points
 from hsvaos.masking import make_masks
 from hsvaos.photos import Photos, load_photos
+from hsvaos.rendering import make_integrators
 from hsvaos.settings import DetectSettings, Settings, ViewSettings
 from hsvaos.surface import FocalPlane
 
@@ -48,8 +48,8 @@ try:
 except ImportError:
     from bench.paper_flights import FIRST_SEED
 
-STRIDE = 4
-ABLATION_SEEDS = 3
+STRIDE = 6
+ABLATION_SEEDS = 2
 """Seeds on which the parts are taken away one by one, with true poses."""
 
 GSD_M = 0.05
@@ -120,23 +120,17 @@ def integrators(photos: Photos, ablation: bool) -> dict[str, Integrator]:
     """Return the integrators of a flight, by layer."""
     settings = Settings().with_values(mask={"statistics": "linear"}, detect={"method": "anomaly"})
     masks = make_masks(photos, settings)
-    camera, poses = photos.flight.camera, photos.flight.poses
-
-    def weighed(images: Any, weights: Any, gains: Any = None) -> Integrator:
-        return Integrator(camera, images, poses, weights, gains=gains)
-
-    found = {
-        "plain": weighed(photos.images, photos.valid),
-        "hue": weighed(masks.brightened, masks.hue),
-        "rarity": weighed(photos.images, masks.rarity, masks.gains),
-        "rarity_map": weighed(masks.rarity, photos.valid),
-    }
-    if ablation:
+    by = make_integrators(photos, masks, "hue")
+    found = {"plain": by.plain, "rarity": by.rarity, "rarity_map": by.rarity_map}
+    if by.hue is not None:
+        found["hue"] = by.hue
+    if ablation and by.anomaly_map is not None:
+        camera, poses = photos.flight.camera, photos.flight.poses
         product = masks.rarity.numpy() * (masks.hue.numpy() > 0)
         found |= {
-            "hue_dark": weighed(photos.images, masks.hue, masks.gains),
-            "rarity_hue": weighed(photos.images, product, masks.gains),
-            "anomaly_map": weighed(masks.anomaly, photos.valid),
+            "hue_dark": Integrator(camera, photos.images, poses, masks.hue, gains=masks.gains),
+            "rarity_hue": Integrator(camera, photos.images, poses, product, gains=masks.gains),
+            "anomaly_map": by.anomaly_map,
         }
     return found
 
@@ -145,7 +139,9 @@ def measure(
     folder: Path, track: str, use: dict[str, Method], device: str = "cpu"
 ) -> dict[str, FlightResult]:
     """Return the result of every method on one flight."""
-    flight = posed(hsvaos.open_flight(folder), folder, track)
+    true = hsvaos.open_flight(folder)
+    people = read_truth(true)
+    flight = posed(true, folder, track)
     photos = load_photos(flight, device=device)
     flight = photos.flight
     surface = FocalPlane(flight.ground_down_m or 0.0)
@@ -163,7 +159,6 @@ def measure(
         image, footprint = integrator.integrate(grid, surface)
         layers[name] = (np.asarray(image.numpy()), np.asarray(footprint.numpy()))
     ground = GroundMap(grid, layers)
-    people = read_people(folder / "truth.json")
     area = ground_seen_ha(flight, surface)
     judged: dict[str, list[JudgedView]] = {name: [] for name in use}
     reported: dict[str, list[ViewFinds]] = {name: [] for name in use}
@@ -200,7 +195,7 @@ def posed(flight: Flight, folder: Path, track: str) -> Flight:
     """Return the flight with true poses, or those of the package's filter and smoother."""
     if track == "true":
         return flight
-    by_name = {row.file: row.pose for row in read_poses(folder / "poses_ekf.csv")}
+    by_name = {row.name: row.world_from_camera for row in read_poses(folder / "poses_ekf.csv")}
     frames = tuple(replace(f, world_from_camera=by_name[f.name]) for f in flight.frames)
     return flight.replace(frames=frames)
 
@@ -217,24 +212,30 @@ def run(flights: Path, results: Path, part: int, parts: int) -> None:
     folders = sorted(p for p in flights.iterdir() if (p / "truth.json").exists())
     folders.sort(key=lambda p: p.name.rsplit("_", 1)[::-1])  # seed by seed, all forests
     first = [f"_{seed}" for seed in range(FIRST_SEED, FIRST_SEED + ABLATION_SEEDS)]
-    for folder in folders[part::parts]:
-        for track in ("true", "ekf"):
-            wanted = {
-                name: method
-                for name, method in known.items()
-                if track in method.tracks
-                and (method.everywhere or folder.name.endswith(tuple(first)))
-                and not _file(results, folder.name, track, name).exists()
-            }
-            if not wanted:
-                continue
-            began = time.monotonic()
-            for name, result in measure(folder, track, wanted).items():
-                path = _file(results, folder.name, track, name)
-                partial = path.with_suffix(".part")
-                partial.write_text(result.to_json())
-                partial.replace(path)
-            print(f"{folder.name} {track}: {time.monotonic() - began:.0f} s", flush=True)
+    for everywhere in (True, False):  # what all tables need comes first
+        for folder in folders[part::parts]:
+            for track in ("true", "ekf"):
+                wanted = {
+                    name: method
+                    for name, method in known.items()
+                    if track in method.tracks
+                    and method.everywhere == everywhere
+                    and (everywhere or folder.name.endswith(tuple(first)))
+                    and not _file(results, folder.name, track, name).exists()
+                }
+                if wanted:
+                    _measure_all(folder, track, wanted, results)
+
+
+def _measure_all(folder: Path, track: str, wanted: dict[str, Method], results: Path) -> None:
+    began = time.monotonic()
+    for name, result in measure(folder, track, wanted).items():
+        path = _file(results, folder.name, track, name)
+        partial = path.with_suffix(".part")
+        partial.write_text(result.to_json())
+        partial.replace(path)
+    seconds = time.monotonic() - began
+    print(f"{folder.name} {track}, {len(wanted)} methods: {seconds:.0f} s", flush=True)
 
 
 def _file(results: Path, flight: str, track: str, method: str) -> Path:

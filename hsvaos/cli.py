@@ -68,14 +68,20 @@ def _root(
 
 
 @app.command()
-def demo(out: Out = Path("hsvaos-demo"), device: Device = "cpu", as_json: Json = False) -> None:
+def demo(
+    out: Out = Path("hsvaos-demo"),
+    detect: DetectOption = None,
+    device: Device = "cpu",
+    as_json: Json = False,
+) -> None:
     """Run the whole chain on the small flight in the package: log, photos, finds, report."""
     from hsvaos.console import Console
     from hsvaos.demo import demo_flight
     from hsvaos.report.atomic import check_writable
 
     check_writable(out)
-    _run(demo_flight(), out, settings_of(None), device, Console(quiet=as_json))
+    chosen = settings_of(None, detect={"method": detect})
+    _run(demo_flight(), out, chosen, device, Console(quiet=as_json))
 
 
 @app.command()

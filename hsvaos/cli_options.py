@@ -64,7 +64,7 @@ DetectOption = Annotated[
     typer.Option(
         "--detect",
         help="Who looks for people: the network, or peaks of rarity or anomaly without weights. "
-        "(default: rarity)",
+        "(default: network)",
     ),
 ]
 Score = Annotated[

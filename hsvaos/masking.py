@@ -12,13 +12,15 @@ from hsvaos.hue_statistics import HueStatistics
 from hsvaos.kernels.anomaly import rx_masks
 from hsvaos.kernels.color import brighten
 from hsvaos.kernels.hue_mask import apply_hue_cut, measure_hue
+from hsvaos.kernels.hue_pack import cut_and_pack
 from hsvaos.kernels.keep import keep_colours
 from hsvaos.kernels.levels import channel_quantiles, level_gains
+from hsvaos.kernels.packing import Packed
 from hsvaos.kernels.rarity import rarity_weights
 from hsvaos.photos import Photos, Progress
 from hsvaos.settings import MaskSettings, Settings
 
-STEPS = 5
+STEPS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +32,10 @@ class Masks:
         hue: Shape (N, H, W), uint8, the hue cut; None for grey photos.
         rarity: Shape (N, H, W), float32, rarity weights.
         anomaly: Shape (N, H, W), uint8, RX masks; None unless asked for.
-        brightened: Photos levelled, and their kept dark pixels brightened; None where not wanted.
+        brightened: Photos levelled, and their kept dark pixels brightened; None where not wanted,
+            and where `packed` holds them.
+        packed: These brightened photos under the hue cut, as an `Integrator` takes them, where cut
+            and brightening were made in one pass.
         hue_stats: Statistics of each photo; empty for grey photos.
         hue_histogram: Shape (B,), float64, over the flight; None for grey photos.
         stats: What reports say of the mask.
@@ -42,6 +47,7 @@ class Masks:
     rarity: Any
     anomaly: Any
     brightened: Any
+    packed: Packed | None
     hue_stats: list[HueStatistics]
     hue_histogram: NDArray[np.float64] | None
     stats: dict[str, Any]
@@ -64,13 +70,13 @@ def make_masks(photos: Photos, settings: Settings, progress: Progress | None = N
     mask, valid = settings.mask, photos.valid
     gains = levelled(photos, settings)
     step("levelling exposure")
-    hue, histogram = None, None
+    hue, histogram, brightened, packed = None, None, None, None
     stats: list[HueStatistics] = []
     if photos.is_colour:
-        cut = (mask.sigmas, mask.statistics, mask.scope)
-        stats, histogram = measure_hue(photos.images, *cut, valid=valid, gains=gains)
+        how = (mask.sigmas, mask.statistics, mask.scope)
+        stats, histogram = measure_hue(photos.images, *how, valid=valid, gains=gains)
         stats = by_hand(mask, stats)
-        hue = cut_hues(photos, mask, stats, gains)
+        hue, brightened, packed = cut_hues(photos, mask, stats, gains)
     step("cutting hues")
     rarity = weigh_rarity(photos, mask, gains)
     step("weighing rarity")
@@ -78,12 +84,8 @@ def make_masks(photos: Photos, settings: Settings, progress: Progress | None = N
     if "anomaly" in (mask.method, settings.detect.method):
         anomaly = find_anomalies(photos, mask, gains)
     step("finding anomalies")
-    brightened = None
-    if mask.brighten and hue is not None:
-        brightened = brighten_kept(photos, mask, hue, gains)
-    step("brightening")
     summary, notes = _summary(photos, mask, hue, stats, anomaly)
-    return Masks(gains, hue, rarity, anomaly, brightened, stats, histogram, summary, notes)
+    return Masks(gains, hue, rarity, anomaly, brightened, packed, stats, histogram, summary, notes)
 
 
 def levelled(photos: Photos, settings: Settings) -> NDArray[np.float64] | None:
@@ -119,17 +121,27 @@ def cut_hues(
     mask: MaskSettings,
     stats: list[HueStatistics],
     gains: NDArray[np.float64] | None,
-) -> Any:
-    """Return the masks of the hue cut; see `Masks.hue`.
+) -> tuple[Any, Any, Packed | None]:
+    """Make the hue cut, and brighten what it keeps; see `Masks`.
 
     Args:
         photos: Colour photos.
         mask: The settings.
         stats: Statistics of each photo.
         gains: See `levelled`.
+
+    Returns:
+        The masks, and the brightened photos: as images, or packed, or neither.
     """
-    masks = apply_hue_cut(photos.images, stats, valid=photos.valid, gains=gains)
-    return _with_kept_colours(photos, mask, masks, gains)
+    images, valid = photos.images, photos.valid
+    amount = {"target_value": mask.target_value, "gamma": mask.gamma, "max_gain": mask.max_gain}
+    if mask.brighten and not mask.keep_colours:
+        both = cut_and_pack(images, stats, valid=valid, gains=gains, brightening=amount)
+        if both is not None:
+            return both[0], None, both[1]
+    hue = apply_hue_cut(images, stats, valid=valid, gains=gains)
+    hue = _with_kept_colours(photos, mask, hue, gains)
+    return hue, brighten(images, hue, gains=gains, **amount) if mask.brighten else None, None
 
 
 def weigh_rarity(
@@ -155,14 +167,6 @@ def find_anomalies(
     """Return RX masks; see `Masks.anomaly`."""
     masks, _ = rx_masks(photos.images, mask.anomaly_quantile, valid=photos.valid)
     return _with_kept_colours(photos, mask, masks, gains)
-
-
-def brighten_kept(
-    photos: Photos, mask: MaskSettings, hue: Any, gains: NDArray[np.float64] | None
-) -> Any:
-    """Return the photos levelled, and what the hue cut keeps of them brightened."""
-    amount = {"target_value": mask.target_value, "gamma": mask.gamma, "max_gain": mask.max_gain}
-    return brighten(photos.images, hue, gains=gains, **amount)
 
 
 def _with_kept_colours(

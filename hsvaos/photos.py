@@ -20,8 +20,9 @@ from hsvaos.nav.photos import poses_at_photos
 Progress = Callable[[str, int, int], None]
 """Called with a stage's name, steps done and steps in all."""
 
-_BYTES_A_PIXEL = 2
-"""Mask and rarity weight of every pixel, beside the photo and its brightened copy."""
+_BYTES_A_PIXEL = 25
+"""Mask (1) and rarity (4) of every pixel, beside the photo, and what integrals pack: the photo
+under no mask (4), under the hue cut (4) and weighed by rarity (8), and the rarity itself (4)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +151,7 @@ def _combined(masks: dict[int, NDArray[np.uint8]], count: int) -> NDArray[np.uin
 def _check_memory(shape: tuple[int, ...], itemsize: int, flight: Flight) -> None:
     pixels = shape[0] * shape[1] * shape[2]
     channels = shape[3] if len(shape) == 4 else 1
-    needed = pixels * (2 * channels * itemsize + _BYTES_A_PIXEL)
+    needed = pixels * (channels * itemsize + _BYTES_A_PIXEL)
     free = _free_memory()
     if free is not None and needed > free:
         raise FlightError(

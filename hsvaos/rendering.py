@@ -16,6 +16,7 @@ from hsvaos.finding import Finder
 from hsvaos.flight import Flight, FlightError
 from hsvaos.ground_map import GroundMap, Layer, grid_for, integrate_ground
 from hsvaos.kernels.integrate import Integrator
+from hsvaos.kernels.packing import Packed
 from hsvaos.kernels.rays import focal_points
 from hsvaos.masking import Masks
 from hsvaos.photos import Photos
@@ -155,10 +156,8 @@ def make_integrators(photos: Photos, masks: Masks, method: str) -> Integrators:
         return Integrator(camera, images, poses, weights, gains=gains)
 
     hue = None
-    if masks.brightened is not None:
-        hue = weighed(masks.brightened, masks.hue)
-    elif masks.hue is not None:
-        hue = weighed(photos.images, masks.hue, masks.gains)
+    if masks.hue is not None:
+        hue = hue_integrator(photos, masks.hue, masks.brightened, masks.packed, masks.gains)
     plain = weighed(photos.images, photos.valid)
     rarity = weighed(photos.images, masks.rarity, masks.gains)
     by_name = {"hue": hue, "rarity": rarity}
@@ -169,6 +168,18 @@ def make_integrators(photos: Photos, masks: Masks, method: str) -> Integrators:
     if masks.anomaly is not None:
         odd = weighed(masks.anomaly, photos.valid)
     return Integrators(plain, chosen, rarity, hue, weighed(masks.rarity, photos.valid), odd)
+
+
+def hue_integrator(
+    photos: Photos, hue: Any, brightened: Any, packed: Packed | None, gains: Any
+) -> Integrator:
+    """Return the integrator of photos under the hue cut; for the arguments see `masking.Masks`."""
+    camera, poses = photos.flight.camera, photos.flight.poses
+    if brightened is not None:
+        return Integrator(camera, brightened, poses, hue)
+    if packed is not None:  # levelled already
+        return Integrator(camera, photos.images, poses, hue, packed=packed)
+    return Integrator(camera, photos.images, poses, hue, gains=gains)
 
 
 def sampling_distance(view: VirtualCamera, hits: NDArray[np.float32]) -> float:

@@ -200,7 +200,7 @@ class DetectSettings:
     """
 
     enabled: bool = True
-    method: str = "rarity"
+    method: str = "network"
     inputs: str = "all"
     model: str | None = None
     layout: str = "auto"

@@ -217,12 +217,7 @@ def brighten(
         ValueError: If a parameter is out of range or shapes differ.
         TypeError: If a type is not supported.
     """
-    if not 0.0 < target_value <= 1.0:
-        raise ValueError(f"target_value must lie in (0, 1], got {target_value!r}")
-    if not 0.0 < gamma <= 1.0:
-        raise ValueError(f"gamma must lie in (0, 1], got {gamma!r}")
-    if not max_gain >= 1.0:
-        raise ValueError(f"max_gain must be at least 1, got {max_gain!r}")
+    check_brightening(target_value, gamma, max_gain)
     stack = Stack(images, device_of(images, device))
     require_unit_range(stack)
     valid = valid_array(keep, stack)
@@ -241,3 +236,17 @@ def brighten(
         ]
         launch(kernel, stack.size, inputs, stack.device)
     return like_input(result, images) if out is None else out
+
+
+def check_brightening(target_value: float, gamma: float, max_gain: float) -> None:
+    """Raise where a parameter of `brighten` makes no sense.
+
+    Raises:
+        ValueError: If it is out of range.
+    """
+    if not 0.0 < target_value <= 1.0:
+        raise ValueError(f"target_value must lie in (0, 1], got {target_value!r}")
+    if not 0.0 < gamma <= 1.0:
+        raise ValueError(f"gamma must lie in (0, 1], got {gamma!r}")
+    if not max_gain >= 1.0:
+        raise ValueError(f"max_gain must be at least 1, got {max_gain!r}")

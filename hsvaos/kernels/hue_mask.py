@@ -19,7 +19,8 @@ from hsvaos.kernels.arrays import (
     valid_array,
 )
 from hsvaos.kernels.color import rgb_to_hsv_pixel
-from hsvaos.kernels.device import bands, launch
+from hsvaos.kernels.device import launch
+from hsvaos.kernels.hue_chunks import count_bands, count_hues, cut_hues
 from hsvaos.kernels.pixels import as_vec3, is_colour
 
 wp.set_module_options({"enable_backward": False})
@@ -124,14 +125,18 @@ def hue_histograms(
     stack.require_colour()
     masks = valid_array(valid, stack)
     require_unit_range(stack)
-    kernel = _histogram_kernel(stack.pixel)
-    shape = (stack.count, len(bands(stack.size, stack.device)), _SUMS)
+    on_cpu = stack.device.is_cpu
+    parts = count_bands(stack.size, stack.device) if on_cpu else 1
+    shape = (stack.count, parts, _SUMS)
     sums = wp.zeros(shape, dtype=wp.int64, device=stack.device)
     circular = int(statistics == "circular")
     scales = pixel_scales(stack, gains)
     for i in range(stack.count):
         inputs = [scales[i], circular, stack.pixels[i], masks[i % masks.shape[0]], sums[i]]
-        launch(kernel, stack.size, inputs, stack.device)
+        if on_cpu:
+            count_hues(stack.pixels[i], stack.size, inputs, stack.device)
+        else:
+            launch(_histogram_kernel(stack.pixel), stack.size, inputs, stack.device)
     totals = sums.numpy().sum(axis=1).astype(np.float64)
     unit = _UNIT if circular else 1.0
     chroma = totals[:, BINS] / _UNIT / np.maximum(totals[:, BINS + 1], 1.0)
@@ -163,7 +168,6 @@ def apply_hue_cut(
     shape = (stack.count, stack.height, stack.width)
     result = output_array(out, shape, wp.uint8, stack.device, "out")
     target = pixel_view(result, wp.uint8, (stack.count, stack.size))
-    kernel = _mask_kernel(stack.pixel)
     scales = pixel_scales(stack, gains)
     for i, s in enumerate(stats):
         half_width = s.half_width_deg if s.informative else -1.0
@@ -171,7 +175,10 @@ def apply_hue_cut(
             *(scales[i], int(s.statistics == "circular"), s.mean_deg, half_width),
             *(stack.pixels[i], masks[i % masks.shape[0]], target[i]),
         ]
-        launch(kernel, stack.size, inputs, stack.device)
+        if stack.device.is_cpu:
+            cut_hues(stack.pixels[i], stack.size, inputs, stack.device)
+        else:
+            launch(_mask_kernel(stack.pixel), stack.size, inputs, stack.device)
     return like_input(result, images) if out is None else out
 
 

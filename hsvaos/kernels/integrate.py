@@ -53,6 +53,7 @@ class Integrator:
         device: "cpu", "cuda:0", ...; by default where the images lie.
         gains: Shape (N, 3), factors on R, G and B of each photo (the first one on grey); see
             `kernels.levels`; None for the photos as they are.
+        packed: These photos with these weights, packed before, by `kernels.hue_pack`.
 
     Raises:
         ValueError: If shapes do not fit the camera or each other, a pose holds no rotation, or the
@@ -69,6 +70,7 @@ class Integrator:
         device: Any = None,
         *,
         gains: Any = None,
+        packed: Packed | None = None,
     ) -> None:
         self.device = device_of(images, device)
         self.camera = camera
@@ -91,7 +93,7 @@ class Integrator:
         )
         self._gains = check_gains(gains, stack)
         self._weights, self._weight_unit = self._check_weights(weights)
-        self._packed: Any = _NOT_YET
+        self._packed: Any = _NOT_YET if packed is None else packed
         self._packing = Lock()
 
     def _without_gaps(self, weights: Any) -> Any:
@@ -264,15 +266,16 @@ class Integrator:
             raise ValueError(f"frames must be a list of frame numbers, got {frames!r}")
         if order.size and (order.min() < 0 or order.max() >= len(self)):
             raise ValueError(f"frames must lie in 0..{len(self) - 1}, got {order.tolist()}")
+        order = order.astype(np.int32)
         if aperture_m is None:
-            return order.astype(np.int32), _NO_LIMIT
+            return order, _NO_LIMIT
         if not aperture_m > 0.0:
             raise ValueError(f"aperture_m must be a positive radius, got {aperture_m!r}")
         if view.is_ortho:  # each point has an aperture of its own: the kernel measures
-            return order.astype(np.int32), float(aperture_m)
+            return order, float(aperture_m)
         away = self.world_from_camera[:, :2, 3] - view.world_from_camera[:2, 3]
         near = np.hypot(away[:, 0], away[:, 1]) <= aperture_m
-        return order[near[order]].astype(np.int32), _NO_LIMIT
+        return order[near[order]], _NO_LIMIT
 
 
 def check_view(view: Any) -> None:

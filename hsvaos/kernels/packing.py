@@ -25,7 +25,7 @@ class Packed:
     """Photos in one buffer, each with a border of one repeated pixel.
 
     Args:
-        words: Warp array, uint32, all frames behind one another.
+        words: Warp array, shape (N, words of a frame), uint32.
         form: What a pixel is; each part has 8, 16 or 32 bits:
             "rgb8" one word, R, G, B and weight, which is 0 or 255;
             "rgb16" two words, R, G, B times weight, and weight, as half floats;
@@ -52,15 +52,30 @@ class Packed:
         return 4 * int(self.words.size)
 
 
+@wp.struct
+class PackJob:
+    """What all rows of a packing share."""
+
+    width: int
+    height: int
+    row_stride: int
+    frame_stride: int
+    weight_scale: float
+    weight_step: int
+    words: wp.array2d(dtype=wp.uint32)
+
+
 _WORDS = {"rgb8": 1, "rgb16": 2, "grey16": 1, "grey32": 1, "grey32 weighted": 2}
 
 _ROW = Template("""
-    const int line = job % (height + 2);
-    const int frame = job / (height + 2);
+    const int width = job.width, height = job.height;
+    const int line = row % (height + 2);
+    const int frame = row / (height + 2);
     const int y = line == 0 ? 0 : (line > height ? height - 1 : line - 1);
     const $source* from = images.data + ((size_t)frame * height + y) * width * $channels;
-    const $weight* weigh = weights.data + ((size_t)(frame * weight_step) * height + y) * width;
-    unsigned* to = words.data + ((size_t)frame * frame_stride + (size_t)line * row_stride) * $words;
+    const $weight* weigh = weights.data + ((size_t)(frame * job.weight_step) * height + y) * width;
+    const size_t start = (size_t)frame * job.frame_stride + (size_t)line * job.row_stride;
+    unsigned* to = job.words.data + start * $words;
     #pragma clang loop vectorize(enable)
     for (int x = 0; x < width; ++x) {
         $pack
@@ -72,7 +87,7 @@ _ROW = Template("""
 """)
 
 _WEIGHT_16 = """
-        float share = $share * weight_scale;
+        float share = $share * job.weight_scale;
         share = share < 0x1p-30f ? 0.0f : share;
         const unsigned weight = (__builtin_bit_cast(unsigned, share * 0x1p-96f) + 2048u) >> 12;
 """
@@ -84,7 +99,7 @@ _PACK = {
             | (unsigned)from[3 * x + 2] << 16 | 255u << 24);
 """,
     "rgb16": """
-        const float share = $share * weight_scale;
+        const float share = $share * job.weight_scale;
         const float dim = share * (sizeof(*from) == 1 ? 128.0f : 0.5f);
         const _Float16 red = (_Float16)(dim * (float)from[3 * x]);
         const _Float16 green = (_Float16)(dim * (float)from[3 * x + 1]);
@@ -99,7 +114,7 @@ _PACK = {
     "grey32": "to[x + 1] = __builtin_bit_cast(unsigned, from[x]);",
     "grey32 weighted": """
         to[2 * x + 2] = __builtin_bit_cast(unsigned, from[x]);
-        to[2 * x + 3] = __builtin_bit_cast(unsigned, $share * weight_scale);
+        to[2 * x + 3] = __builtin_bit_cast(unsigned, $share * job.weight_scale);
 """,
 }
 
@@ -121,44 +136,18 @@ def _pack_kernel(form: str, scalar: Any, weight: Any) -> Any:
 
     @wp.func_native(snippet)
     def pack_row(
-        job: int,
-        width: int,
-        height: int,
-        row_stride: int,
-        frame_stride: int,
-        weight_scale: float,
-        weight_step: int,
-        images: wp.array(dtype=scalar),
-        weights: wp.array(dtype=stored),
-        words: wp.array(dtype=wp.uint32),
+        row: int, job: PackJob, images: wp.array2d(dtype=scalar), weights: wp.array2d(dtype=stored)
     ): ...
 
     @wp.kernel(module="unique", enable_backward=False)
     def pack_kernel(
         offset: int,
         band: int,
-        width: int,
-        height: int,
-        row_stride: int,
-        frame_stride: int,
-        weight_scale: float,
-        weight_step: int,
-        images: wp.array(dtype=scalar),
-        weights: wp.array(dtype=stored),
-        words: wp.array(dtype=wp.uint32),
+        job: PackJob,
+        images: wp.array2d(dtype=scalar),
+        weights: wp.array2d(dtype=stored),
     ):
-        pack_row(
-            wp.tid() + offset,
-            width,
-            height,
-            row_stride,
-            frame_stride,
-            weight_scale,
-            weight_step,
-            images,
-            weights,
-            words,
-        )
+        pack_row(wp.tid() + offset, job, images, weights)
 
     return pack_kernel
 
@@ -184,22 +173,49 @@ def pack(stack: Stack, weights: Any, weight_unit: float) -> Packed | None:
     share = _weight_scale(form, weights, weight_unit) if form else None
     if form is None or share is None:
         return None
-    row = _row_stride(stack.width, 4 * _WORDS[form])
-    frame = row * (stack.height + 2) + 5 * LINE // (4 * _WORDS[form])
-    # the operating system gives NumPy's large arrays large pages: fewer misses of the TLB
-    buffer = np.empty(stack.count * frame * _WORDS[form], dtype=np.uint32)
-    words = wp.array(buffer, dtype=wp.uint32, device="cpu", copy=False)
+    packed, job = empty_packed(stack, form, weight_unit=share[1])
+    job.weight_scale = share[0]
+    job.weight_step = int(weighted and weights.shape[0] > 1)
     inputs = [
-        *(stack.width, stack.height, row, frame, share[0]),
-        int(weighted and weights.shape[0] > 1),
-        pixel_view(stack.array, stack.scalar, (stack.array.size,)),
-        pixel_view(weights, weights.dtype, (weights.size,)),
-        words,
+        job,
+        pixel_view(stack.array, stack.scalar, (stack.count, stack.size * stack.channels)),
+        weights,
     ]
     kernel = _pack_kernel(form, stack.scalar, weight)
     launch(kernel, stack.count * (stack.height + 2), inputs, stack.device, ROW_GRAIN)
-    white = {"rgb8": 255.0, "rgb16": 256.0 if stack.scalar is wp.uint8 else 65536.0}
-    return Packed(words, form, row, frame, share[1], white.get(form, 1.0))
+    return packed
+
+
+def empty_packed(
+    stack: Stack, form: str, like: Packed | None = None, weight_unit: float = 1.0 / 255.0
+) -> tuple[Packed, PackJob]:
+    """Return memory for packed photos, and the job of the kernel that fills it.
+
+    Args:
+        stack: The photos.
+        form: See `Packed`.
+        like: Packed photos to write over; None for new memory.
+        weight_unit: See `Packed`.
+
+    Raises:
+        ValueError: If `like` is not of the photos' number, size and form.
+    """
+    row = _row_stride(stack.width, 4 * _WORDS[form])
+    frame = row * (stack.height + 2) + 5 * LINE // (4 * _WORDS[form])
+    shape = (stack.count, frame * _WORDS[form])
+    if like is None:
+        # the operating system gives NumPy's large arrays large pages: fewer misses of the TLB
+        buffer = np.empty(shape, dtype=np.uint32)
+        words = wp.array(buffer, dtype=wp.uint32, device="cpu", copy=False)
+        white = {"rgb8": 255.0, "rgb16": 256.0 if stack.scalar is wp.uint8 else 65536.0}
+        like = Packed(words, form, row, frame, weight_unit, white.get(form, 1.0))
+    elif (tuple(like.words.shape), like.form, like.row) != (shape, form, row):
+        raise ValueError(f"photos must hold {shape} words of form {form}, got {like.words.shape}")
+    job = PackJob()
+    job.width, job.height = stack.width, stack.height
+    job.row_stride, job.frame_stride = row, frame
+    job.words = like.words
+    return like, job
 
 
 def _form(stack: Stack, weights: Any) -> str | None:
@@ -210,11 +226,11 @@ def _form(stack: Stack, weights: Any) -> str | None:
         return "grey16"
     if stack.scalar is wp.float32:
         return None
-    masked = weights is None or (weights.dtype is wp.uint8 and _is_mask(weights))
+    masked = weights is None or (weights.dtype is wp.uint8 and is_mask(weights))
     return "rgb8" if stack.scalar is wp.uint8 and masked else "rgb16"
 
 
-def _is_mask(weights: Any) -> bool:
+def is_mask(weights: Any) -> bool:
     """Whether bytes are only 0 and one other value, 1 or 255."""
     rows = (weights[i].numpy() for i in range(weights.shape[0]))
     return all(((row + np.uint8(1)) <= 2).all() for row in rows)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -17,7 +16,6 @@ from hsvaos.hue_statistics import HueStatistics, hue_statistics
 from hsvaos.kernels.hue_mask import hue_histograms
 from hsvaos.kernels.integrate import Integrator
 from hsvaos.masking import (
-    brighten_kept,
     by_hand,
     cut_hues,
     find_anomalies,
@@ -25,13 +23,10 @@ from hsvaos.masking import (
     weigh_rarity,
 )
 from hsvaos.photos import Photos
-from hsvaos.rendering import Integrators
+from hsvaos.rendering import Integrators, hue_integrator
 from hsvaos.settings import MaskSettings, Settings
 
 KINDS = ("plain", "hue", "rarity", "rarity_map", "anomaly", "anomaly_map")
-
-_BATCH_PX = 8_000_000
-"""Pixels masked at once: between batches a request that is no longer wanted gives up."""
 
 _PREVIEW_PX = 900_000
 """Pixels of all photos together that a preview masks."""
@@ -204,32 +199,13 @@ class WeightCache:
         )
 
     def _make_whole(self, kind: str, mask: MaskSettings, wanted: Wanted) -> Integrator:
-        photos, gains = self.photos, self.gains
-        if kind == "plain":
-            return _integrator(kind, photos, mask, [], gains)
-        if kind != "hue":
+        if not wanted():
+            raise Abandoned
+        stats = self.hue_stats(mask) if kind == "hue" else []
+        layer = None
+        if kind not in ("plain", "hue"):
             layer = self._layer(kind.removesuffix("_map"), mask, wanted)
-            return _integrator(kind, photos, mask, [], gains, layer)
-        stats = self.hue_stats(mask)
-        shape = photos.images.shape
-        cut = wp.empty(shape[:3], dtype=wp.uint8, device=photos.images.device)
-        bright = wp.empty_like(photos.images) if mask.brighten else None
-        batch = max(1, _BATCH_PX // (shape[1] * shape[2]))
-        for start in range(0, shape[0], batch):
-            if not wanted():
-                raise Abandoned
-            part = slice(start, min(start + batch, shape[0]))
-            some = _slice(photos, part)
-            levels = None if gains is None else gains[part]
-            hue = cut_hues(some, mask, stats[part], levels)
-            wp.copy(cut[part], hue)
-            if bright is not None:
-                wp.copy(bright[part], brighten_kept(some, mask, hue, levels))
-        if bright is not None:
-            return Integrator(photos.flight.camera, bright, photos.flight.poses, cut)
-        return Integrator(
-            photos.flight.camera, photos.images, photos.flight.poses, cut, gains=gains
-        )
+        return _integrator(kind, self.photos, mask, stats, self.gains, layer)
 
     def _layer(self, kind: str, mask: MaskSettings, wanted: Wanted) -> Any:
         """Weights by rarity or RX, of which there are two integrators: by them, and of them."""
@@ -271,16 +247,6 @@ def _key(kind: str, mask: MaskSettings) -> Any:
     return tuple(getattr(mask, name) for name in _FIELDS[kind])
 
 
-def _slice(photos: Photos, part: slice) -> Photos:
-    valid = photos.valid
-    if valid is not None and valid.ndim == 3:
-        valid = valid[part]
-    frames = range(part.start, part.stop)
-    return replace(
-        photos, flight=photos.flight.subset(frames), images=photos.images[part], valid=valid
-    )
-
-
 def _weigh(kind: str, photos: Photos, mask: MaskSettings, gains: NDArray[np.float64] | None) -> Any:
     make = weigh_rarity if kind == "rarity" else find_anomalies
     return make(photos, mask, gains)
@@ -299,10 +265,7 @@ def _integrator(
     if kind == "plain":
         return Integrator(camera, photos.images, poses, photos.valid)
     if kind == "hue":
-        hue = cut_hues(photos, mask, stats, gains)
-        if mask.brighten:
-            return Integrator(camera, brighten_kept(photos, mask, hue, gains), poses, hue)
-        return Integrator(camera, photos.images, poses, hue, gains=gains)
+        return hue_integrator(photos, *cut_hues(photos, mask, stats, gains), gains)
     if layer is None:
         layer = _weigh(kind.removesuffix("_map"), photos, mask, gains)
     if kind.endswith("_map"):

@@ -84,7 +84,7 @@ def test_tables_and_curve_and_what_is_kept(flights: list[Path], tmp_path: Path) 
     assert json.loads(evaluation.to_json()) == outcome["evaluation"]
     assert [row.iou for row in evaluation.detection[:3]] == [0.10, 0.25, 0.50]
     assert [row.views for row in evaluation.flights] == [6, 6]
-    assert evaluation.rules.score == 6.0
+    assert evaluation.rules.score == pytest.approx(hsvaos.Detector().score)
     assert {row.group for row in evaluation.persons} >= {"all", "half"}
     assert "## Persons on the ground" in (out / "evaluation.md").read_text()
     assert (out / "evaluation.csv").read_text().startswith("group,iou,boxes,ap_coco101")
@@ -165,7 +165,9 @@ def test_faults_are_named_before_the_work(
     assert "given as terrain" in fails(*flights, "-o", out, "--terrain", "nothing.npz")
     assert "ious must be above 0" in fails(flights[0], "-o", out, "--iou", "0")
     assert "radius_m must be" in fails(flights[0], "-o", out, "--radius", "-1")
-    assert "min_z must be" in fails(flights[0], "-o", out, "--score-threshold", "-1")
+    wrong = ("--score-threshold", "-1")
+    assert "min_score must be" in fails(flights[0], "-o", out, *wrong)
+    assert "min_z must be" in fails(flights[0], "-o", out, "--detect", "rarity", *wrong)
     assert "cuda:7" in fails(flights[0], "-o", out, "--device", "cuda:7")
 
 

@@ -136,7 +136,10 @@ def test_a_steep_view_past_the_horizon_and_a_camera_in_the_plane() -> None:
     image, cover = integrator.integrate(view, FocalPlane(0.0))
     assert (cover[:32] == 0).all()
     assert (image[:32] == 0).all()
-    assert cover[40:].any()
+    expected, footprint = plain(Integrator(camera, images, poses)).integrate(view, FocalPlane(0.0))
+    assert footprint[32:48].any()  # tiles that reach from near by to the horizon
+    np.testing.assert_allclose(cover, footprint, atol=2e-2)
+    np.testing.assert_allclose(image[footprint > 0.1], expected[footprint > 0.1], atol=1.0)
     _, nothing = integrator.integrate(view, FocalPlane(-10.0))
     assert (nothing == 0).all()
 
@@ -154,6 +157,17 @@ def test_what_has_no_packed_form_is_gathered_plainly() -> None:
         image, _ = integrator.integrate(view, FocalPlane(0.0))
         assert integrator._packed is None
         np.testing.assert_allclose(image, images[0], rtol=1e-3, atol=1e-3)
+
+
+def test_no_frame_within_the_aperture_gives_no_sample() -> None:
+    camera = Camera.from_fov(20, 16, 60)
+    images = np.full((2, 16, 20), 7, np.uint8)
+    integrator = Integrator(camera, images, [looking_down(0, 0, 20)] * 2)
+    view = VirtualCamera(camera, looking_down(5, 0, 20))
+    for frames in (None, []):
+        image, cover = integrator.integrate(view, FocalPlane(0.0), 1.0, frames)
+        assert not image.any()
+        assert not cover.any()
 
 
 def test_packed_photos_are_made_once_and_shared_masks_count_for_all() -> None:

@@ -1,0 +1,187 @@
+"""Hue cut, brightening and packing in one pass over the photos, on the CPU.
+
+After the statistics (`hue_mask.measure_hue`) every pixel is read once: its mask and its packed
+word, brightened and levelled, are written, and no copy of the photos lies between.
+"""
+
+import math
+from functools import lru_cache
+from string import Template
+from typing import Any
+
+import warp as wp
+
+from hsvaos.hue_statistics import HueStatistics
+from hsvaos.kernels.arrays import (
+    Stack,
+    check_gains,
+    device_of,
+    output_array,
+    pixel_view,
+    valid_array,
+)
+from hsvaos.kernels.color import check_brightening
+from hsvaos.kernels.device import ROW_GRAIN, launch
+from hsvaos.kernels.hue_chunks import cut_text
+from hsvaos.kernels.packing import Packed, PackJob, empty_packed, is_mask
+
+wp.set_module_options({"enable_backward": False})
+
+# (value / target)^power by the exponent and two polynomials: within 3e-6 of its value
+_POWER = """
+            const float part = value * job.over_target;
+            const unsigned bits = __builtin_bit_cast(unsigned, part);
+            const float t = __builtin_bit_cast(float, (bits & 0x7fffffu) | 0x3f800000u) - 1.0f;
+            const float log = (float)((int)(bits >> 23) - 127) + t * (1.4426933f
+                + t * (-0.7211628f + t * (0.4777064f + t * (-0.33924912f + t * (0.21559035f
+                + t * (-0.096067372f + t * 0.020490588f))))));
+            const float wanted = log * job.power;
+            const float power = wanted < job.most ? wanted : job.most;
+            const int whole = (int)power;
+            const float s = power - (float)whole;
+            float gain = __builtin_bit_cast(float, (whole + 127) << 23) * (1.0f + s * (0.69314758f
+                + s * (0.24020688f + s * (0.055658655f + s * (0.0091968073f
+                + s * 0.0017896657f)))));
+            gain = ((value > 0.0f) & (part < 1.0f)) ? gain * 255.0f : 255.0f;
+            const float top = 255.5f;
+            const float r = red * gain + 0.5f, g = green * gain + 0.5f, b = blue * gain + 0.5f;
+            const unsigned word = (unsigned)(int)(r < top ? r : top)
+                | (unsigned)(int)(g < top ? g : top) << 8
+                | (unsigned)(int)(b < top ? b : top) << 16 | 255u << 24;
+"""
+
+_AS_IT_IS = """
+            const unsigned word = (unsigned)from[3 * i] | (unsigned)from[3 * i + 1] << 8
+                | (unsigned)from[3 * i + 2] << 16 | 255u << 24;
+"""
+
+_ROW = Template("""{
+    #pragma clang fp contract(fast)
+    const int width = job.pack.width, height = job.pack.height;
+    const int y = line == 0 ? 0 : (line > height ? height - 1 : line - 1);
+    const unsigned char* from = (const unsigned char*)rgb.data + (size_t)3 * y * width;
+    const unsigned char* use = valid.data + (size_t)y * job.valid_step;
+    unsigned char* to = mask.data + (size_t)y * width;
+    unsigned* words = job.pack.words.data + (size_t)frame * job.pack.frame_stride
+        + (size_t)line * job.pack.row_stride + 1;
+    const wp::vec3 scale = job.scale;
+    const float mean = job.mean, half_width = job.half_width;
+    const int circular = job.circular;
+    #pragma clang loop vectorize(enable) vectorize_width(16)
+    for (int i = 0; i < width; ++i) {
+        $cut
+        $word
+        const unsigned keep = (good & !cut) ? use[i] : 0;
+        to[i] = (unsigned char)keep;
+        words[i] = keep != 0 ? word : 0u;
+    }
+    words[-1] = words[0];
+    words[width] = words[width - 1];
+}""")
+
+
+@wp.struct
+class CutJob:
+    """What all rows of a photo share."""
+
+    pack: PackJob
+    scale: wp.vec3
+    circular: int
+    mean: float
+    half_width: float
+    valid_step: int
+    over_target: float
+    power: float
+    most: float
+
+
+@lru_cache
+def _cut_and_pack_kernel(brightened: bool) -> Any:
+    word = _POWER if brightened else _AS_IT_IS
+
+    @wp.func_native(_ROW.substitute(cut=cut_text(wp.vec3ub), word=word))
+    def cut_and_pack_row(
+        line: int,
+        frame: int,
+        job: CutJob,
+        rgb: wp.array(dtype=wp.vec3ub),
+        valid: wp.array(dtype=wp.uint8),
+        mask: wp.array(dtype=wp.uint8),
+    ): ...
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def cut_and_pack_kernel(
+        offset: int,
+        band: int,
+        frame: int,
+        job: CutJob,
+        rgb: wp.array(dtype=wp.vec3ub),
+        valid: wp.array(dtype=wp.uint8),
+        mask: wp.array(dtype=wp.uint8),
+    ):
+        cut_and_pack_row(wp.tid() + offset, frame, job, rgb, valid, mask)
+
+    return cut_and_pack_kernel
+
+
+def cut_and_pack(
+    images: Any,
+    stats: list[HueStatistics],
+    *,
+    valid: Any = None,
+    gains: Any = None,
+    brightening: dict[str, float] | None = None,
+    out: Any = None,
+    photos: Packed | None = None,
+) -> tuple[Any, Packed] | None:
+    """Make the masks of a hue cut and the packed photos that an `Integrator` takes, in one pass.
+
+    Args:
+        images: Shape (N, H, W, 3), uint8 RGB, on the CPU.
+        stats: N statistics, one an image, from `measure_hue`.
+        valid: User masks that multiply in.
+        gains: Shape (N, 3), factors on R, G and B of each image, as when measured.
+        brightening: target_value, gamma and max_gain of `color.brighten`: kept dark pixels are
+            packed brightened and levelled by the gains. None to pack photos as they are.
+        out: Shape (N, H, W), uint8, masks written in place; new if None.
+        photos: Packed photos to write over, from an earlier call; new if None.
+
+    Returns:
+        masks, Warp array (N, H, W), uint8, and the packed photos. None where this pass does not
+        apply: photos of another type or place, and user masks with values between.
+
+    Raises:
+        ValueError: If a parameter is out of range, or shapes do not fit.
+    """
+    stack = Stack(images, device_of(images))
+    if stack.device.is_cuda or stack.scalar is not wp.uint8:
+        return None
+    stack.require_colour()
+    if valid is None:  # one row of full weights serves all
+        masks = wp.full((1, stack.width), 255, dtype=wp.uint8, device=stack.device)
+    else:
+        masks = valid_array(valid, stack)
+        if not is_mask(masks):
+            return None
+    shape = (stack.count, stack.height, stack.width)
+    result = output_array(out, shape, wp.uint8, stack.device, "out")
+    target = pixel_view(result, wp.uint8, (stack.count, stack.size))
+    levels = check_gains(gains, stack)
+    packed, pack_job = empty_packed(stack, "rgb8", photos)
+    job = CutJob()
+    job.pack = pack_job
+    job.valid_step = 0 if valid is None else stack.width
+    if brightening is not None:
+        check_brightening(**brightening)
+        job.over_target = 1.0 / brightening["target_value"]
+        job.power = brightening["gamma"] - 1.0
+        job.most = math.log2(brightening["max_gain"])
+    kernel = _cut_and_pack_kernel(brightening is not None)
+    for i, s in enumerate(stats):
+        job.scale = wp.vec3(*(levels[i] / stack.white))
+        job.circular = int(s.statistics == "circular")
+        job.mean = s.mean_deg
+        job.half_width = s.half_width_deg if s.informative else -1.0
+        inputs = [i, job, stack.pixels[i], masks[i % masks.shape[0]], target[i]]
+        launch(kernel, stack.height + 2, inputs, stack.device, ROW_GRAIN)
+    return result, packed
