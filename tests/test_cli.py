@@ -85,7 +85,7 @@ def test_demo_runs_from_log_to_report(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     outcome = json.loads(done.stdout)
     assert outcome["frames"] == 30
-    assert len(outcome["persons"]) == 2
+    assert len(outcome["persons"]) == 1
     assert (tmp_path / "demo" / "report.html").stat().st_size > 0
 
 
