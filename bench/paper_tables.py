@@ -85,9 +85,20 @@ class Evaluations:
             flights = self.results.get(where)
             if not flights:
                 return None
-            score = self._scores.setdefault(method, score_of(method))
-            self._made[where] = evaluate_flights(flights, Rules(score=score))
+            self._made[where] = self._evaluated(flights, method)
         return self._made[where]
+
+    def ablated(self, forest: str, method: str) -> Evaluation | None:
+        """Return the evaluation of the flights that every method of the ablation has seen."""
+        sets = [self.results.get((forest, "true", key(name)), []) for name in ABLATION]
+        common = set.intersection(*({flight.name for flight in flights} for flights in sets))
+        flights = self.results.get((forest, "true", key(method)), [])
+        chosen = [flight for flight in flights if flight.name in common]
+        return self._evaluated(chosen, method) if chosen else None
+
+    def _evaluated(self, flights: list[FlightResult], method: str) -> Evaluation:
+        score = self._scores.setdefault(method, score_of(method))
+        return evaluate_flights(flights, Rules(score=score))
 
     def count(self, forest: str) -> int:
         return len(self.results.get((forest, "true", key("hsvaos")), []))
@@ -183,7 +194,7 @@ def ablation_table(made: Evaluations) -> str:
     for method in ABLATION:
         cells = []
         for forest in FORESTS:
-            one = made.get(forest, "true", method)
+            one = made.ablated(forest, method)
             if one is None:
                 cells += ["-", "-"]
                 continue
@@ -253,6 +264,15 @@ def write_page(folder: Path) -> None:
         "People reached by fewer than 1.5 unoccluded rays a point on average are in `unreached`, "
         "not in `all`; finds on them count neither way there. AP is COCO's 101-point form; TP, "
         "FP, FN and precision are those at the default threshold and IoU .25.\n",
+        "**The targets are not reached.** hsvaos is ahead of the plain mean and of the paper's "
+        "form on every forest here, and ahead of the paper's printed figures in summer; "
+        "it stays far "
+        "below .95, and those who are fully occluded or under a bush are hardly found. The network "
+        "also misses people in the open (snow, thin fall) and takes stones and dark patches in "
+        "snow for people: its training forests were dense, with few glades, so it saw few people "
+        "uncovered and little open ground. Its hue-masked training images were cut by circular "
+        "statistics of levelled photos, which puts HSV-AOS with its linear ones at a "
+        "disadvantage.\n",
         "## Poses (Table 1)\n\nRoot mean square over the photos of all flights.\n",
         pose_table(folder),
         "## Average precision (Table 2)\n",
@@ -262,8 +282,10 @@ def write_page(folder: Path) -> None:
         "## Persons on the ground\n\nMerged over the views, at the default threshold; right "
         "within 2 m.\n",
         person_table(made, poses, MAIN),
-        "## What each part earns\n\nAP at IoU .25 with true poses: of all who are reached, and "
-        "of the fully occluded among them.\n",
+        "## What each part earns\n\nAP at IoU .25 with true poses on the first two seeds: of all "
+        "who are reached, and of the fully occluded among them. A small network trained "
+        "on COCO is not "
+        "among the rows: no permissive weights were at hand.\n",
         ablation_table(made),
         "## Precision over recall (figure 16)\n",
         *figures(made, poses),

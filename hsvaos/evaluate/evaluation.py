@@ -189,9 +189,13 @@ def _flight_row(result: FlightResult, chosen: Chosen, rules: Rules) -> FlightRow
 
 
 def _points(iou: float, curve: Curve) -> CurvePoints:
-    """Return at most 201 points of a curve; the drops between them are too fine to be seen."""
+    """Return some 400 points of a curve: by recall, and by rank where recall stands still."""
     count = len(curve.scores) if curve.positives else 0
-    at = np.unique(np.linspace(0, count - 1, min(count, _CURVE_POINTS)).round().astype(int))
+    ranks = np.linspace(0, count - 1, min(count, _CURVE_POINTS)).round()
+    # where a hit comes: many weak finds must not leave the head of the curve without points
+    hits = np.flatnonzero(np.diff(curve.recall[:count], prepend=0.0) > 0.0)
+    chosen = np.linspace(0, len(hits) - 1, min(len(hits), _CURVE_POINTS)).round().astype(int)
+    at = np.unique(np.concatenate([ranks.astype(int), hits[chosen]]))
     return CurvePoints(
         iou,
         tuple(curve.recall[at].tolist()),
