@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from typing import Any
 
 import cv2
 import numpy as np
-import pytest
 
 from bench.data import photos
 from bench.harness import SMOKE, Contenders, size
@@ -20,8 +18,6 @@ from hsvaos.detect.yolo import PACKAGED
 from hsvaos.settings import DetectSettings
 
 VIEWS = 2 if SMOKE else 117
-
-_MISSING = f"the person network was not measured: {PACKAGED.name} is not there"
 
 
 def layers(count: int, side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -69,22 +65,13 @@ def many_views() -> Contenders:
     }
 
 
-RACES: dict[str, Callable[[], Contenders]] = {}
-if PACKAGED.is_file():
-    RACES = {
-        "people in a view of 512 px": one_view(512),
-        "people in a view of 1024 px": one_view(1024),
-        f"people in {VIEWS} views of 512 px": many_views,
-    }
-else:
-    sys.stderr.write(_MISSING + "\n")
+RACES: dict[str, Callable[[], Contenders]] = {
+    "people in a view of 512 px": one_view(512),
+    "people in a view of 1024 px": one_view(1024),
+    f"people in {VIEWS} views of 512 px": many_views,
+}
 
 
 def test_race(benchmark: Any, contender: tuple[str, str]) -> None:
     benchmark.group = contender[0]
     benchmark(RACES[contender[0]]()[contender[1]])
-
-
-@pytest.mark.skipif(PACKAGED.is_file(), reason="measured above")
-def test_network_is_there() -> None:
-    pytest.skip(_MISSING)
