@@ -60,7 +60,7 @@ def collate(samples: list[Sample]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         samples: A batch.
 
     Returns:
-        whole (B, 8, 256, 256), wanted (B, n), boxes (B, n, 4), number of people (B,).
+        whole (B, 14, 256, 256), wanted (B, n), boxes (B, n, 4), number of people (B,).
     """
     side = CROP_PX // STRIDE
     centres = cell_centres(side, side).numpy().astype(np.float64)

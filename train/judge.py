@@ -12,7 +12,7 @@ from torch import nn
 
 from hsvaos.detect.network_input import network_input
 from hsvaos.evaluate.detection import Matches, match_boxes
-from train.maps import PLANES, RARITY_MAP, RAYS
+from train.maps import COHERENCE, COHERENT, PLANES, RARITY_MAP, RAYS
 from train.net import MULTIPLE, Exported, PersonNet
 from train.samples import LEAST_RAYS_SEEN
 
@@ -28,7 +28,7 @@ def finds(net: nn.Module, whole: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     Args:
         net: The network as exported.
-        whole: Shape (8, H, W), from `network_input`.
+        whole: Shape (14, H, W), from `network_input`.
     """
     height, width = (-(-side // MULTIPLE) * MULTIPLE for side in whole.shape[1:])
     padded = np.zeros((1, len(whole), height, width), dtype=np.float32)
@@ -95,6 +95,7 @@ def matched(net: PersonNet, paths: list[Path], ious: tuple[float, ...]) -> dict[
             layers[RAYS],
             layers[RARITY_MAP],
             np.moveaxis(layers[PLANES["plain"]], 0, 2),
+            (np.moveaxis(layers[COHERENT], 0, 2), layers[COHERENCE]),
         )
         boxes, scores = finds(exported, whole)
         corner = np.array([whole.shape[2] - 1, whole.shape[1] - 1])

@@ -23,9 +23,12 @@ from hsvaos.settings import Settings
 from hsvaos.surface import FocalPlane
 
 PLANES = {"plain": slice(0, 3), "rarity": slice(3, 6), "hue": slice(6, 9)}
-"""Where the three integral images lie in a map; then come rarity map, rays and hue footprint."""
+"""Where the three integral images lie in a map; then come rarity map, rays and hue footprint, the
+colours of the rays that agree, and their coherence."""
 
 RARITY_MAP, RAYS, HUE_FOOTPRINT = 9, 10, 11
+COHERENT, COHERENCE = slice(12, 15), 15
+LAYERS = 16
 
 CONDITIONS = 4
 """Maps of each flight."""
@@ -169,16 +172,20 @@ def _layers(
         image, footprint = integrator.integrate(view, plane, frames=chosen)
         return np.asarray(image.numpy()), np.asarray(footprint.numpy())
 
-    layers = np.zeros((12, view.height, view.width), dtype=np.float32)
+    layers = np.zeros((LAYERS, view.height, view.width), dtype=np.float32)
     plain, rays = integral(photos.images, photos.valid)
-    rare, _ = integral(photos.images, masks.rarity, masks.gains)
+    by_rarity = Integrator(camera, photos.images, poses, masks.rarity, gains=masks.gains)
+    rare, _ = by_rarity.integrate(view, plane, frames=chosen)
+    coherent, coherence = by_rarity.coherence(view, plane, frames=chosen)
     rarity_map, _ = integral(masks.rarity, photos.valid)
     hue, kept = plain, rays
     if masks.brightened is not None:
         hue, kept = integral(masks.brightened, masks.hue)
-    for name, picture in (("plain", plain), ("rarity", rare), ("hue", hue)):
+    for name, picture in (("plain", plain), ("rarity", rare.numpy()), ("hue", hue)):
         layers[PLANES[name]] = np.moveaxis(picture, 2, 0)  # grey fills all three
     layers[RARITY_MAP] = rarity_map[..., 0]
     layers[RAYS] = rays
     layers[HUE_FOOTPRINT] = kept
+    layers[COHERENT] = np.moveaxis(coherent.numpy(), 2, 0)
+    layers[COHERENCE] = coherence.numpy()
     return layers

@@ -6,6 +6,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from hsvaos.detect.network_input import CHANNELS
+
 STRIDE = 8
 MULTIPLE = 16
 """Sides of the input must be multiples of this."""
@@ -35,13 +37,13 @@ class _Residual(nn.Module):
 
 
 class PersonNet(nn.Module):
-    """Maps the 8 channels of `network_input` to a score and a box at every eighth pixel.
+    """Maps the 14 channels of `network_input` to a score and a box at every eighth pixel.
 
     Args:
         channels: Input channels.
     """
 
-    def __init__(self, channels: int = 8) -> None:
+    def __init__(self, channels: int = len(CHANNELS)) -> None:
         super().__init__()
         self.stem = nn.Sequential(_conv(channels, 24, 5, 2), _conv(24, 40, 3, 2), _Residual(40))
         self.middle = nn.Sequential(_conv(40, 72, 3, 2), _Residual(72), _Residual(72))

@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hsvaos.detect.network_input import TRAINED_GSD_M, network_input
-from train.maps import HUE_FOOTPRINT, PLANES, RARITY_MAP, RAYS
+from hsvaos.detect.network_input import CHANNELS, TRAINED_GSD_M, network_input
+from train.maps import COHERENCE, COHERENT, HUE_FOOTPRINT, PLANES, RARITY_MAP, RAYS
 
 CROP_PX = 256
-LEAST_RAYS = 1.5
+LEAST_RAYS = 1.0
 """People with fewer unoccluded rays a point are neither wanted nor forbidden."""
 
 LEAST_RAYS_SEEN = 3.0
@@ -27,7 +27,7 @@ class Sample:
     """One crop.
 
     Args:
-        whole: Shape (8, 256, 256), float32, the network's input.
+        whole: Shape (14, 256, 256), float32, the network's input.
         boxes: Shape (K, 4), xyxy [px], people to find.
         ignored: Shape (M, 4), people who cannot be seen.
     """
@@ -114,13 +114,14 @@ def _look(layers: NDArray[np.float32], colour: bool, rng: np.random.Generator) -
     image = np.moveaxis(layers[PLANES[kind]], 0, 2)
     plain = np.moveaxis(layers[PLANES["plain"]], 0, 2)
     rays, rarity = layers[RAYS], layers[RARITY_MAP]
+    coherent = (np.moveaxis(layers[COHERENT], 0, 2), layers[COHERENCE])
     if kind == "hue":  # no sample is not black
         image = np.where(layers[HUE_FOOTPRINT, ..., None] > 0.0, image, np.float32(np.nan))
     alone = rng.uniform() < (0.25 if colour else 0.6)
     if not alone:
         if kind == "hue" and rng.uniform() < 0.3:
             rays = layers[HUE_FOOTPRINT]
-        known = rng.uniform(size=3) < [0.9, 0.9, 0.85]
+        known = rng.uniform(size=4) < [0.9, 0.9, 0.85, 0.6]
         if kind == "rarity" and rng.uniform() < 0.6:
             known[:] = True  # as `hsvaos run` gives it
         return _jittered(
@@ -129,6 +130,7 @@ def _look(layers: NDArray[np.float32], colour: bool, rng: np.random.Generator) -
                 rays if known[0] else None,
                 rarity if known[1] else None,
                 plain if known[2] else None,
+                coherent if known[3] else None,
             ),
             rng,
         )
@@ -152,7 +154,9 @@ def _look(layers: NDArray[np.float32], colour: bool, rng: np.random.Generator) -
 def _jittered(whole: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
     """Vary contrast and noise a little."""
     if rng.uniform() < 0.5:
-        whole[:7] *= np.exp(rng.normal(0.0, 0.15, (7, 1, 1))).astype(np.float32)
+        factors = np.exp(rng.normal(0.0, 0.15, (len(whole), 1, 1))).astype(np.float32)
+        factors[CHANNELS.index("rays")] = 1.0
+        whole *= factors
     if rng.uniform() < 0.3:
         noise = rng.standard_normal(whole[:6].shape, dtype=np.float32)
         whole[:6] += np.float32(rng.uniform(0.0, 0.06)) * noise * (whole[:6] != 0.0)

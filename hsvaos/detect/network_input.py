@@ -5,13 +5,20 @@ The same lines prepare integral images for training and for finding people.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-CHANNELS = ("red", "green", "blue", "plain red", "plain green", "plain blue", "rarity", "rays")
+from hsvaos.detect.surprise import surprise
+
+CHANNELS = (
+    *("red", "green", "blue", "plain red", "plain green", "plain blue", "rarity", "rays"),
+    *("coherence", "surprise", "plain surprise", "coherent surprise"),
+    *("surprising rarity", "surprising coherence"),
+)
 """Channels of the network's input, in order."""
 
 TRAINED_GSD_M = (0.045, 0.09)
@@ -31,6 +38,9 @@ _LIMIT = 8.0
 _UNIT = 0.25
 """Brings contrast to about the range -1..1 that networks like."""
 
+_COMPRESSED_UNIT = 0.5
+_SURPRISE_UNIT = 0.5
+
 _LEAST_DEVIATION = 0.1
 """In medians of the deviation over the image: flat surroundings must not show noise as contrast."""
 
@@ -40,13 +50,15 @@ def network_input(
     footprint: ArrayLike | None = None,
     rarity: ArrayLike | None = None,
     plain: ArrayLike | None = None,
+    coherence: tuple[ArrayLike, ArrayLike] | None = None,
 ) -> NDArray[np.float32]:
     """Return the input of the person network for one integral image.
 
     Every pixel becomes its distance from the mean of its surround, a square of 129 pixels, in
     deviations of that surround, one deviation for the three colours together so that hue stays.
     Mean and deviation are those of the values clipped at 3 deviations. No value depends on the
-    exposure of the whole image. What is not known is 0.
+    exposure of the whole image. To this come the surprise of colours within the whole image (see
+    `surprise`), by itself and times rarity map and coherence. What is not known is 0.
 
     Args:
         image: Shape (H, W, 3) RGB or (H, W) grey, any number type; NaN where nothing was seen. The
@@ -54,9 +66,11 @@ def network_input(
         footprint: Shape (H, W), how many rays each pixel has seen; 0 where none. None if unknown.
         rarity: Shape (H, W), the rarity map. None if unknown.
         plain: Shape (H, W, 3) or (H, W), the plain mean of all rays. By default the image.
+        coherence: Mean colour of the rays that agree, shape (H, W, 3) or (H, W), and how much they
+            do, shape (H, W), see `Integrator.coherence`. None if unknown.
 
     Returns:
-        Shape (8, H, W), float32, see `CHANNELS`.
+        Shape (14, H, W), float32, see `CHANNELS`.
 
     Raises:
         ValueError: If a shape does not fit.
@@ -68,20 +82,64 @@ def network_input(
         seen &= rays > 0.0
     whole = np.zeros((len(CHANNELS), *size), dtype=np.float32)
     whole[0:3] = _contrast(picture, seen)
+    whole[9], among_alike = surprise(picture, seen)
     if plain is None:
-        whole[3:6] = whole[0:3]
+        whole[3:6], whole[10] = whole[0:3], whole[9]
     else:
-        second, known = _picture(plain, "plain")
-        if second.shape[:2] != size:
-            raise ValueError(f"plain must have the image's size {size}, got {second.shape[:2]}")
-        whole[3:6] = _contrast(second, known if rays is None else known & (rays > 0.0))
+        second, known = _sized(plain, size, "plain")
+        known = known if rays is None else known & (rays > 0.0)
+        whole[3:6] = _contrast(second, known)
+        whole[10], _ = surprise(second, known)
     rare = _fitting(rarity, size, "rarity")
     if rare is not None:
         known = np.isfinite(rare) & (seen if rays is None else rays > 0.0)
-        whole[6] = _contrast(np.where(known, rare, 0.0)[..., None], known)[0]
+        rare = np.where(known, rare, np.float32(0.0))
+        whole[6] = _contrast(rare[..., None], known)[0]
+        whole[12] = _weighed(rare, among_alike, known)
+    else:
+        whole[12] = _weighed(np.float32(1.0), among_alike, seen)
     if rays is not None:
         whole[7] = np.log1p(np.maximum(np.nan_to_num(rays, nan=0.0), 0.0)) / 4.0
+    if coherence is not None:
+        colours, known = _sized(coherence[0], size, "coherence[0]")
+        agreement = np.nan_to_num(_fitting(coherence[1], size, "coherence[1]"), nan=0.0)
+        agreed = agreement * agreement
+        everywhere = np.ones(size, dtype=np.bool_) if rays is None else rays > 0.0
+        whole[8] = _contrast(agreed[..., None], everywhere, _compressed)[0]
+        whole[11], among_alike = surprise(colours, known & (agreement > 0.0))
+        whole[13] = _weighed(agreed, among_alike, everywhere)
+    whole[9:12] *= np.float32(_SURPRISE_UNIT)
     return whole
+
+
+def _weighed(
+    values: NDArray[np.float32] | np.float32,
+    surprises: NDArray[np.float32],
+    seen: NDArray[np.bool_],
+) -> NDArray[np.float32]:
+    """Contrast of values times how rare their colours are, 1e-3 to 1."""
+    rare = np.exp(np.float32(np.log(10.0)) * (np.minimum(surprises, np.float32(3.0)) - 3.0))
+    return _contrast((values * rare)[..., None], seen, _compressed)[0]
+
+
+def _clipped(z: NDArray[np.float32]) -> None:
+    np.clip(z, -_LIMIT, _LIMIT, out=z)
+    z *= np.float32(_UNIT)
+
+
+def _compressed(z: NDArray[np.float32]) -> None:
+    """For what is next to nothing almost everywhere: many deviations still tell."""
+    np.maximum(z, np.float32(-_LIMIT), out=z)
+    z[...] = np.sign(z) * np.log1p(np.abs(z)) * np.float32(_COMPRESSED_UNIT)
+
+
+def _sized(
+    values: Any, size: tuple[int, ...], name: str
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    picture, known = _picture(values, name)
+    if picture.shape[:2] != size:
+        raise ValueError(f"{name} must have the image's size {size}, got {picture.shape[:2]}")
+    return picture, known
 
 
 def _picture(values: Any, name: str) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
@@ -110,8 +168,13 @@ def _fitting(values: Any, size: tuple[int, ...], name: str) -> NDArray[np.float3
     return plane
 
 
-def _contrast(picture: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
+def _contrast(
+    picture: NDArray[np.float32],
+    seen: NDArray[np.bool_],
+    limited: Callable[[NDArray[np.float32]], None] | None = None,
+) -> NDArray[np.float32]:
     """Return the local contrast of (H, W, C) as (C, H, W), or of grey as (1, H, W)."""
+    limit = limited or _clipped
     channels = picture.shape[2]
     out = np.zeros((channels, *picture.shape[:2]), dtype=np.float32)
     if not seen.any():
@@ -159,8 +222,8 @@ def _contrast(picture: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[
     for k, (value, centre) in enumerate(zip(values, centres, strict=True)):
         z = np.subtract(value, centre, out=out[k])
         z *= scale
-        np.clip(z, -_LIMIT, _LIMIT, out=z)
-        z *= known * np.float32(_UNIT)
+        limit(z)
+        z *= known
     return out
 
 

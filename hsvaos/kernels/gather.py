@@ -103,6 +103,22 @@ def _gather_kernel(pixel: Any, weight: Any, value: Any) -> Any:
     return gather_kernel
 
 
+def packed_poses(poses: NDArray[np.float64], gains: NDArray[np.float64], device: Any) -> Any:
+    """Return poses and gains as a Warp array of `Pose`.
+
+    Args:
+        poses: Shape (N, 4, 4), world from camera.
+        gains: Shape (N, 3).
+        device: Warp device.
+    """
+    pose: Any = Pose
+    packed: Any = np.zeros(len(poses), dtype=pose.numpy_dtype())
+    packed["rotation"] = poses[:, :3, :3].transpose(0, 2, 1)
+    packed["centre"] = poses[:, :3, 3]
+    packed["gain"] = gains
+    return wp.array(packed, dtype=Pose, device=device)
+
+
 def gather(
     camera: Camera,
     stack: Stack,
@@ -131,16 +147,11 @@ def gather(
         image: Warp array of H * W * C float32, written.
         footprint: Warp array of H * W float32, written.
     """
-    pose: Any = Pose
-    packed: Any = np.zeros(stack.count, dtype=pose.numpy_dtype())
-    packed["rotation"] = poses[:, :3, :3].transpose(0, 2, 1)
-    packed["centre"] = poses[:, :3, 3]
-    packed["gain"] = gains
     size = points.size
     value = wp.vec3 if stack.channels == 3 else wp.float32
     inputs = [
         lens(camera),
-        wp.array(packed, dtype=Pose, device=stack.device),
+        packed_poses(poses, gains, stack.device),
         wp.array(order, dtype=int, device=stack.device),
         reach * reach,
         *(points, stack.pixels, weights, weight_unit, int(weights.shape[0] > 1)),

@@ -17,8 +17,10 @@ from hsvaos.kernels.arrays import (
     like_input,
     output_array,
     pixel_view,
+    require_unit_range,
     to_array,
 )
+from hsvaos.kernels.coherence import gather_coherence
 from hsvaos.kernels.gather import gather
 from hsvaos.kernels.packing import Packed, pack
 from hsvaos.kernels.rays import focal_points
@@ -172,17 +174,7 @@ class Integrator:
             ValueError: If the aperture or a frame number makes no sense, or out does not fit.
             TypeError: If surface is no focal surface.
         """
-        if not isinstance(surface, (FocalPlane, FocalTerrain)):
-            raise TypeError(
-                f"surface must be a FocalPlane or FocalTerrain, got {type(surface).__name__}"
-            )
-        check_view(view)
-        order, reach = self._select(view, aperture_m, frames)
-        shape = (view.height, view.width)
-        given = check_pair(out)
-        channels = self._stack.channels
-        image = output_array(given[0], (*shape, channels), wp.float32, self.device, "out[0]")
-        footprint = output_array(given[1], shape, wp.float32, self.device, "out[1]")
+        order, reach, image, footprint = self._target(view, surface, aperture_m, frames, out)
         points = focal_points(view, surface, device=self.device)
         self._gather(view, order, reach, points, image, footprint)
         if out is not None:
@@ -230,6 +222,74 @@ class Integrator:
             return out
         return like_input(stack, self._like), like_input(footprint, self._like)
 
+    def coherence(
+        self,
+        view: VirtualCamera,
+        surface: FocalSurface,
+        aperture_m: float | None = None,
+        frames: Sequence[int] | None = None,
+        out: tuple[Any, Any] | None = None,
+    ) -> tuple[Any, Any]:
+        """Measure whether the rays that count at a point agree on a colour.
+
+        With weights w (rarity), colours c (CIE Lab, lightness halved) and the n rays of a point
+        whose weight is not 0: coherence = sqrt(max_i w_i sum_j w_j exp(-|c_i - c_j|^2 / 16^2) / n),
+        over the 16 heaviest rays of weight .02 and more. Photos are read at the nearest pixel.
+
+        Args:
+            view: Virtual camera at any pose, or orthographic ground grid.
+            surface: Focal plane or terrain.
+            aperture_m: See `integrate`.
+            frames: See `integrate`.
+            out: (image, coherence) arrays, written in place; new if None.
+
+        Returns:
+            image, shape (H, W, C) float32 in units of the photos, the mean colour of the rays that
+            agree with the greatest, and coherence, shape (H, W) float32, 0..1. Both are 0 where no
+            ray has a weight of .02.
+
+        Raises:
+            ValueError: If the aperture or a frame number makes no sense, or out does not fit; if
+                photos are float32 beyond 0..1.
+            TypeError: If surface is no focal surface.
+        """
+        order, reach, image, coherence = self._target(view, surface, aperture_m, frames, out)
+        require_unit_range(self._stack)
+        points = focal_points(view, surface, device=self.device)
+        photos = (self.camera, self._stack, self._weights, self._weight_unit)
+        poses = self._poses_from(view)
+        gather_coherence(*photos, poses, self._gains, order, reach, points, image, coherence)
+        if out is not None:
+            return out
+        return like_input(image, self._like), like_input(coherence, self._like)
+
+    def _target(
+        self,
+        view: VirtualCamera,
+        surface: FocalSurface,
+        aperture_m: float | None,
+        frames: Sequence[int] | None,
+        out: tuple[Any, Any] | None,
+    ) -> tuple[NDArray[np.int32], float, Any, Any]:
+        """Return which photos count within which radius, and the two arrays to write."""
+        if not isinstance(surface, (FocalPlane, FocalTerrain)):
+            raise TypeError(
+                f"surface must be a FocalPlane or FocalTerrain, got {type(surface).__name__}"
+            )
+        check_view(view)
+        order, reach = self._select(view, aperture_m, frames)
+        shape = (view.height, view.width)
+        given = check_pair(out)
+        channels = self._stack.channels
+        image = output_array(given[0], (*shape, channels), wp.float32, self.device, "out[0]")
+        second = output_array(given[1], shape, wp.float32, self.device, "out[1]")
+        return order, reach, image, second
+
+    def _poses_from(self, view: VirtualCamera) -> NDArray[np.float64]:
+        poses = self.world_from_camera.copy()
+        poses[:, :3, 3] -= view.world_from_camera[:3, 3]
+        return poses
+
     def _gather(
         self,
         view: VirtualCamera,
@@ -239,10 +299,8 @@ class Integrator:
         image: Any,
         footprint: Any,
     ) -> None:
-        poses = self.world_from_camera.copy()
-        poses[:, :3, 3] -= view.world_from_camera[:3, 3]
         photos = self._photos()
-        where = (poses, self._gains, order, reach, points)
+        where = (self._poses_from(view), self._gains, order, reach, points)
         if photos is None:
             weights = (self._weights, self._weight_unit)
             gather(self.camera, self._stack, *weights, *where, image, footprint)

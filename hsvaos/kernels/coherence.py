@@ -1,0 +1,192 @@
+"""Coherence of rays: whether rare colours at a point of the ground agree with each other.
+
+Leaves let chance colours through; a person shows every ray that gets to them the same few colours.
+Of the rays that reach a point, the one whose rare colour most other rare rays share stands for it.
+"""
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from hsvaos.camera import Camera
+from hsvaos.kernels.arrays import Stack, pixel_view
+from hsvaos.kernels.device import launch
+from hsvaos.kernels.gather import Pose, packed_poses
+from hsvaos.kernels.lab import CURVE, GAMMA, gamma_table, lab_curve_table, lab_pixel
+from hsvaos.kernels.lens import Lens, lens, project
+from hsvaos.kernels.pixels import as_colour, as_value, times_gain
+
+wp.set_module_options({"enable_backward": False})
+
+LEAST_WEIGHT = 0.02
+"""Rays of less weight are leaves and ground like everywhere; they count as rays, no more."""
+
+MOST_RAYS = 16
+"""Of the rays above the least weight, the heaviest this many are compared: bounded work."""
+
+LAB_SIGMA = 16.0
+"""Colours that differ by this count as half alike (exp(-1))."""
+
+LIGHTNESS_SHARE = 0.5
+"""Factor on differences of lightness: one cloth is lit here and shaded there."""
+
+_FARTHEST = 4.0
+"""Squared distances in sigmas beyond which colours have nothing in common."""
+
+_rays = wp.types.vector(length=MOST_RAYS, dtype=float)
+_numbers = wp.types.vector(length=MOST_RAYS, dtype=int)
+_colours = wp.types.matrix(shape=(MOST_RAYS, 3), dtype=float)
+
+
+@wp.func
+def likeness(labs: _colours, a: int, b: int) -> float:
+    """How alike two of the colours are: a Gaussian of their distance, 1 where equal."""
+    x = labs[a, 0] - labs[b, 0]
+    y = labs[a, 1] - labs[b, 1]
+    z = labs[a, 2] - labs[b, 2]
+    apart = (x * x + y * y + z * z) / (LAB_SIGMA * LAB_SIGMA)
+    if apart >= _FARTHEST:
+        return 0.0
+    return wp.exp(-apart)
+
+
+@lru_cache
+def _coherence_kernel(pixel: Any, weight: Any, value: Any) -> Any:
+    @wp.kernel(module="unique", enable_backward=False)
+    def coherence_kernel(
+        offset: int,
+        band: int,
+        lens: Lens,
+        poses: wp.array(dtype=Pose),
+        order: wp.array(dtype=int),
+        aperture2: float,
+        points: wp.array(dtype=wp.vec4),
+        images: wp.array2d(dtype=pixel),
+        weights: wp.array2d(dtype=weight),
+        weight_unit: float,
+        weight_step: int,
+        white: float,
+        gamma: wp.array(dtype=float),
+        curve: wp.array(dtype=float),
+        image: wp.array(dtype=value),
+        coherence: wp.array(dtype=float),
+    ):
+        i = wp.tid() + offset
+        point = points[i]
+        held = _rays(0.0)
+        photo = _numbers(0)
+        spots = _numbers(0)
+        count = int(0)
+        seen = int(0)
+        least = int(0)
+        if point[3] > 0.0:
+            place = wp.vec3(point[0], point[1], point[2])
+            for k in range(order.shape[0]):
+                n = order[k]
+                away = place - poses[n].centre
+                if away[0] * away[0] + away[1] * away[1] <= aperture2:
+                    at = project(poses[n].rotation * away, lens)
+                    x = int(wp.floor(at[0] + 0.5))
+                    y = int(wp.floor(at[1] + 0.5))
+                    if at[2] > 0.0 and x >= 0 and y >= 0 and x < lens.width and y < lens.height:
+                        spot = y * lens.width + x
+                        share = float(1.0)
+                        if weight_unit > 0.0:
+                            share = float(weights[n * weight_step, spot]) * weight_unit
+                        if share > 0.0:
+                            seen += 1
+                        if share >= LEAST_WEIGHT and (count < MOST_RAYS or share > held[least]):
+                            if count == MOST_RAYS:  # of equal rays the first stay
+                                for j in range(least, MOST_RAYS - 1):
+                                    held[j] = held[j + 1]
+                                    photo[j] = photo[j + 1]
+                                    spots[j] = spots[j + 1]
+                                count -= 1
+                            held[count] = share
+                            photo[count] = n
+                            spots[count] = spot
+                            count += 1
+                            if count == MOST_RAYS:
+                                least = int(0)
+                                for j in range(1, MOST_RAYS):
+                                    if held[j] <= held[least]:
+                                        least = j
+        labs = _colours(0.0)
+        for j in range(count):
+            colour = as_colour(
+                times_gain(as_value(images[photo[j], spots[j]]), poses[photo[j]].gain)
+            )
+            lab = lab_pixel(colour / white, gamma, curve)
+            labs[j, 0] = lab[0] * LIGHTNESS_SHARE
+            labs[j, 1] = lab[1]
+            labs[j, 2] = lab[2]
+        best = float(0.0)
+        chosen = int(0)
+        for a in range(count):
+            alike = float(0.0)
+            for b in range(count):
+                alike += held[b] * likeness(labs, a, b)
+            if held[a] * alike > best:
+                best = held[a] * alike
+                chosen = a
+        total = value(0.0)
+        if best > 0.0:
+            sum_of_weights = float(0.0)
+            for b in range(count):
+                share = held[b] * likeness(labs, chosen, b)
+                total += (
+                    times_gain(as_value(images[photo[b], spots[b]]), poses[photo[b]].gain) * share
+                )
+                sum_of_weights += share
+            total = total / sum_of_weights
+            best = wp.sqrt(best / float(seen))
+        image[i] = total
+        coherence[i] = best
+
+    return coherence_kernel
+
+
+def gather_coherence(
+    camera: Camera,
+    stack: Stack,
+    weights: Any,
+    weight_unit: float,
+    poses: NDArray[np.float64],
+    gains: NDArray[np.float64],
+    order: NDArray[np.int32],
+    reach: float,
+    points: Any,
+    image: Any,
+    coherence: Any,
+) -> None:
+    """Measure coherence at given points; for the arguments see `kernels.gather.gather`.
+
+    Args:
+        camera: Camera of the photos.
+        stack: The photos.
+        weights: Warp array (N or 1, H * W), uint8 or float32.
+        weight_unit: Weight of 1 in that array; 0 if all pixels have the weight 1.
+        poses: Shape (N, 4, 4), world from camera, relative to the points' origin.
+        gains: Shape (N, 3), factors on the channels.
+        order: Numbers of the photos to use.
+        reach: Greatest horizontal distance of a photo from a point [m].
+        points: Warp array (H * W) of vec4, see `focal_points`.
+        image: Warp array of H * W * C float32, written: mean colour of the rays that agree.
+        coherence: Warp array of H * W float32, written, 0..1.
+    """
+    size = points.size
+    value = wp.vec3 if stack.channels == 3 else wp.float32
+    inputs = [
+        lens(camera),
+        packed_poses(poses, gains, stack.device),
+        wp.array(order, dtype=int, device=stack.device),
+        reach * reach,
+        *(points, stack.pixels, weights, weight_unit, int(weights.shape[0] > 1), stack.white),
+        wp.array(gamma_table(GAMMA), dtype=float, device=stack.device),
+        wp.array(lab_curve_table(CURVE), dtype=float, device=stack.device),
+        *(pixel_view(image, value, (size,)), pixel_view(coherence, wp.float32, (size,))),
+    ]
+    launch(_coherence_kernel(stack.pixel, weights.dtype, value), size, inputs, stack.device)
