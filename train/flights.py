@@ -3,7 +3,9 @@
 Seeds: training flights have seeds from `FIRST_TRAINING_SEED`, those for choosing epochs and
 thresholds from `FIRST_TUNING_SEED`. Tests and tables use other seeds, which are thus unseen.
 The first hundred training seeds are dense forests; from `FIRST_OPEN_SEED` on crowns are thinner,
-glades larger and snow is more frequent, so that people in the open are seen as well.
+glades larger and snow is more frequent, so that people in the open are seen as well. From
+`FIRST_SEARCH_SEED` on tuning flights are searches: 117 photos, the simulator's forests of each
+season, and people of every occlusion class.
 """
 
 from __future__ import annotations
@@ -24,8 +26,10 @@ from hsvaos.simulate.simulation import Simulation
 FIRST_TRAINING_SEED = 100_000
 FIRST_OPEN_SEED = 100_100
 FIRST_TUNING_SEED = 900_000
+FIRST_SEARCH_SEED = 900_100
 
 _PEOPLE = 34
+_SEARCHED_FOR = 20
 _APART_M = 2.7
 _BUSH_SHARE = 0.2
 _THERMAL_SHARE = 0.14
@@ -83,6 +87,21 @@ def flight_settings(seed: int) -> SimulationSettings:
     )
 
 
+def search_settings(seed: int) -> SimulationSettings:
+    """Return what to simulate for a search, by which the threshold is chosen.
+
+    Args:
+        seed: Of the flight; four in a row are summer, thin fall, closed fall and snow.
+    """
+    season, leaves = (("summer", 1.0), ("fall", 0.3), ("fall", 1.0), ("snow", 1.0))[seed % 4]
+    return SimulationSettings(
+        forest=ForestSettings(season=season, seed=seed, leaf_density=leaves),
+        mission=Mission(photos=117),
+        camera=Camera.from_fov(1024, 1024, 90.0),
+        people=_SEARCHED_FOR,
+    )
+
+
 def _places(rng: np.random.Generator, half: np.ndarray) -> tuple[tuple[float, float], ...]:
     chosen: list[np.ndarray] = []
     for place in rng.uniform(-half, half, (40 * _PEOPLE, 2)):
@@ -102,7 +121,10 @@ def make_flight(seed: int, folder: Path) -> Path:
     """
     target = folder / f"flight_{seed}"
     if not target.exists():
-        settings = flight_settings(seed)
-        simulation = Simulation(settings, measure=False)
-        simulate_flight(settings, target, simulation=simulation)
+        if seed >= FIRST_SEARCH_SEED:
+            simulate_flight(search_settings(seed), target)
+        else:
+            settings = flight_settings(seed)
+            simulation = Simulation(settings, measure=False)  # its places are given
+            simulate_flight(settings, target, simulation=simulation)
     return target

@@ -7,7 +7,7 @@ wrong focus, with poses as a filter leaves them or worse, and from a part of its
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +16,11 @@ from numpy.typing import NDArray
 
 import hsvaos
 from hsvaos.camera import VirtualCamera
+from hsvaos.kernels.hue_mask import measure_hue
 from hsvaos.kernels.integrate import Integrator
-from hsvaos.masking import make_masks
-from hsvaos.photos import load_photos
+from hsvaos.masking import cut_hues, make_masks
+from hsvaos.photos import Photos, load_photos
+from hsvaos.rendering import Integrators, hue_integrator, make_integrators
 from hsvaos.settings import Settings
 from hsvaos.surface import FocalPlane
 
@@ -124,7 +126,7 @@ def make_maps(folder: Path, target: Path) -> None:
     seed = int(truth["settings"]["forest"]["seed"])
     rng = np.random.default_rng([seed, 302])
     photos = load_photos(flight, 1.0, "cpu", None)
-    masks = make_masks(photos, Settings(), None)
+    ours, papers = _integrators(photos)
     reach = np.abs(flight.poses[:, :2, 3]).max(axis=0) + _BORDER_M
     gsd = float(np.median(-flight.poses[:, 2, 3])) / flight.camera.fx
     width, height = (int(2.0 * side / gsd) for side in reach[::-1])
@@ -139,7 +141,8 @@ def make_maps(folder: Path, target: Path) -> None:
             kept = max(6, round(condition.share * len(chosen)))
             chosen = np.sort(rng.permutation(chosen)[:kept])
         poses = disturbed(flight.poses, condition, rng)
-        layers = _layers(photos, masks, poses, view, FocalPlane(condition.focus_m), chosen)
+        by = ours if number % 2 == 0 else papers
+        layers = _layers(by, poses, view, FocalPlane(condition.focus_m), chosen)
         part = path.with_suffix(".part.npz")
         np.savez(
             part,
@@ -157,35 +160,39 @@ def _box(view: VirtualCamera, outline: NDArray[np.float64]) -> NDArray[np.float6
     return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
 
 
+def _integrators(photos: Photos) -> tuple[Integrators, Integrators]:
+    """Return integrators with our hue cut and with the paper's, the same else."""
+    masks = make_masks(photos, Settings())
+    ours = make_integrators(photos, masks, "rarity")
+    if not photos.is_colour:
+        return ours, ours
+    mask, gains = Settings().with_values(mask={"statistics": "linear"}).mask, masks.gains
+    how = (mask.sigmas, mask.statistics, mask.scope)
+    stats, _ = measure_hue(photos.images, *how, valid=photos.valid, gains=gains)
+    cut = cut_hues(photos, mask, stats, gains)
+    return ours, replace(ours, hue=hue_integrator(photos, *cut, gains))
+
+
 def _layers(
-    photos: Any,
-    masks: Any,
+    by: Integrators,
     poses: NDArray[np.float64],
     view: VirtualCamera,
     plane: FocalPlane,
     chosen: NDArray[np.int64],
 ) -> NDArray[np.float32]:
-    camera = photos.flight.camera
-
-    def integral(images: Any, weights: Any, gains: Any = None) -> tuple[Any, Any]:
-        integrator = Integrator(camera, images, poses, weights, gains=gains)
-        image, footprint = integrator.integrate(view, plane, frames=chosen)
+    def integral(integrator: Integrator) -> tuple[Any, Any]:
+        image, footprint = integrator.at_poses(poses).integrate(view, plane, frames=chosen)
         return np.asarray(image.numpy()), np.asarray(footprint.numpy())
 
     layers = np.zeros((LAYERS, view.height, view.width), dtype=np.float32)
-    plain, rays = integral(photos.images, photos.valid)
-    by_rarity = Integrator(camera, photos.images, poses, masks.rarity, gains=masks.gains)
-    rare, _ = by_rarity.integrate(view, plane, frames=chosen)
-    coherent, coherence = by_rarity.coherence(view, plane, frames=chosen)
-    rarity_map, _ = integral(masks.rarity, photos.valid)
-    hue, kept = plain, rays
-    if masks.brightened is not None:
-        hue, kept = integral(masks.brightened, masks.hue)
-    for name, picture in (("plain", plain), ("rarity", rare.numpy()), ("hue", hue)):
+    plain, rays = integral(by.plain)
+    hue, kept = (plain, rays) if by.hue is None else integral(by.hue)
+    for name, picture in (("plain", plain), ("rarity", integral(by.rarity)[0]), ("hue", hue)):
         layers[PLANES[name]] = np.moveaxis(picture, 2, 0)  # grey fills all three
-    layers[RARITY_MAP] = rarity_map[..., 0]
+    layers[RARITY_MAP] = integral(by.rarity_map)[0][..., 0]
     layers[RAYS] = rays
     layers[HUE_FOOTPRINT] = kept
+    coherent, coherence = by.rarity.at_poses(poses).coherence(view, plane, frames=chosen)
     layers[COHERENT] = np.moveaxis(coherent.numpy(), 2, 0)
     layers[COHERENCE] = coherence.numpy()
     return layers

@@ -1,6 +1,9 @@
 """Integral images: every output pixel gathers every photo at its focal point."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
+from copy import copy
 from threading import Lock
 from typing import Any
 
@@ -84,15 +87,8 @@ class Integrator:
                 f"images must have the camera's size {camera.width} x {camera.height}, "
                 f"got {stack.width} x {stack.height}"
             )
-        poses = np.asarray(world_from_camera, dtype=np.float64)
-        if poses.ndim != 3 or len(poses) != stack.count:
-            raise ValueError(
-                f"world_from_camera must have shape ({stack.count}, 4, 4), got {poses.shape}"
-            )
+        self.world_from_camera = _checked_poses(world_from_camera, stack.count)
         weights = self._without_gaps(weights)
-        self.world_from_camera: NDArray[np.float64] = np.stack(
-            [check_pose(pose, f"world_from_camera[{i}]") for i, pose in enumerate(poses)]
-        )
         self._gains = check_gains(gains, stack)
         self._weights, self._weight_unit = self._check_weights(weights)
         self._packed: Any = _NOT_YET if packed is None else packed
@@ -134,6 +130,20 @@ class Integrator:
         rows = pixel_view(array, array.dtype, (array.size // stack.size, stack.size))
         bytes_of_weight = array.dtype is wp.uint8 and not is_binary(rows)
         return rows, 1.0 / 255.0 if bytes_of_weight else 1.0
+
+    def at_poses(self, world_from_camera: ArrayLike) -> Integrator:
+        """Return an integrator of the same photos, as they are held, taken from other poses.
+
+        Args:
+            world_from_camera: Shape (N, 4, 4), pose of each photo, world NED [m].
+
+        Raises:
+            ValueError: If the shape is not (N, 4, 4) or a pose holds no rotation.
+        """
+        self._photos()
+        other = copy(self)
+        other.world_from_camera = _checked_poses(world_from_camera, len(self))
+        return other
 
     def __len__(self) -> int:
         return self._stack.count
@@ -334,6 +344,13 @@ class Integrator:
         away = self.world_from_camera[:, :2, 3] - view.world_from_camera[:2, 3]
         near = np.hypot(away[:, 0], away[:, 1]) <= aperture_m
         return order[near[order]], _NO_LIMIT
+
+
+def _checked_poses(world_from_camera: ArrayLike, count: int) -> NDArray[np.float64]:
+    poses = np.asarray(world_from_camera, dtype=np.float64)
+    if poses.ndim != 3 or len(poses) != count:
+        raise ValueError(f"world_from_camera must have shape ({count}, 4, 4), got {poses.shape}")
+    return np.stack([check_pose(pose, f"world_from_camera[{i}]") for i, pose in enumerate(poses)])
 
 
 def check_view(view: Any) -> None:
