@@ -85,7 +85,9 @@ def methods() -> dict[str, Method]:
     def image(name: str) -> Callable[[Layers], Detections]:
         return lambda layers: detector.detect(layers[name][0], footprint=layers[name][1])
 
-    def everything(*, rays: bool = True, rarity: bool = True) -> Callable[[Layers], Detections]:
+    def everything(
+        *, rays: bool = True, rarity: bool = True, coherence: bool = True
+    ) -> Callable[[Layers], Detections]:
         def find(layers: Layers) -> Detections:
             rare, count = layers["rarity_map"]
             return detector.detect(
@@ -93,6 +95,7 @@ def methods() -> dict[str, Method]:
                 footprint=count if rays else None,
                 rarity=rare[..., 0] if rarity else None,
                 plain=layers["plain"][0],
+                coherence=layers["coherence"] if coherence else None,
             )
 
         return find
@@ -111,6 +114,7 @@ def methods() -> dict[str, Method]:
         "rarity x hue image": Method(image("rarity_hue"), score),
         "all but rays": Method(everything(rays=False), score),
         "all but rarity map": Method(everything(rarity=False), score),
+        "all but coherence": Method(everything(coherence=False), score),
         "peaks of rarity": Method(of_peaks("rarity_map"), peaks.min_z),
         "peaks of RX": Method(of_peaks("anomaly_map"), peaks.min_z),
     }
@@ -153,11 +157,12 @@ def measure(
     if grid is None:
         raise RuntimeError(f"{folder}: no ground grid can stand for the views")
     layers: dict[str, Layer] = {}
-    for name, integrator in integrators(
-        photos, any(not m.everywhere for m in use.values())
-    ).items():
+    by_name = integrators(photos, any(not m.everywhere for m in use.values()))
+    for name, integrator in by_name.items():
         image, footprint = integrator.integrate(grid, surface)
         layers[name] = (np.asarray(image.numpy()), np.asarray(footprint.numpy()))
+    agreed, coherence = by_name["rarity"].coherence(grid, surface)
+    layers["coherence"] = (np.asarray(agreed.numpy()), np.asarray(coherence.numpy()))
     ground = GroundMap(grid, layers)
     area = ground_seen_ha(flight, surface)
     judged: dict[str, list[JudgedView]] = {name: [] for name in use}

@@ -17,7 +17,7 @@ class Finder:
 
     Args:
         layers: Names of the layers it looks at: "plain", "chosen", "rarity", "rarity_map",
-            "anomaly_map".
+            "anomaly_map", "coherence".
         least_score: Score below which a person, seen over all views, is left out.
         find: Called with layers by name, each (image, footprint), and the ground sampling distance
             [m/px].
@@ -100,10 +100,11 @@ def _network_finder(settings: DetectSettings) -> Finder:
             footprint=rays,
             rarity=rarity[..., 0],
             plain=layers["plain"][0],
+            coherence=layers["coherence"],
             gsd_m=gsd_m,
         )
         return best(found)
 
     if settings.inputs == "image" or detector.layout != "hsvaos":
         return Finder(("chosen",), least, find_in_image)
-    return Finder(("rarity_map", "rarity", "plain"), least, find_in_all)
+    return Finder(("rarity_map", "rarity", "plain", "coherence"), least, find_in_all)

@@ -20,7 +20,8 @@ from hsvaos.surface import FocalSurface
 from hsvaos.viewing import ground_grid
 
 Layer = tuple[NDArray[np.float32], NDArray[np.float32]]
-"""An integral image (H, W, C) and its footprint (H, W), float32."""
+"""An integral image (H, W, C) and its footprint (H, W), float32; or agreeing rays' mean colour and
+their coherence, which is drawn the same way."""
 
 _LEAST_VIEWS = 4
 _STEEPEST = float(np.cos(np.radians(35.0)))

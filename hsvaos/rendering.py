@@ -128,10 +128,12 @@ class Renderer:
         return {name: self._integrate(name, view) for name in self._needed()}
 
     def _integrate(self, name: str, view: VirtualCamera) -> Layer:
-        integrator: Integrator = getattr(self.by, name)
-        image, footprint = integrator.integrate(
-            view, self.surface, aperture_m=self.settings.view.aperture_m
-        )
+        where = (view, self.surface, self.settings.view.aperture_m)
+        if name == "coherence":
+            image, footprint = self.by.rarity.coherence(*where)
+        else:
+            integrator: Integrator = getattr(self.by, name)
+            image, footprint = integrator.integrate(*where)
         return image.numpy(), footprint.numpy()
 
     def _others(self, view: VirtualCamera) -> dict[str, tuple[Any, Any]]:

@@ -19,7 +19,7 @@ from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 from train.net import STRIDE, PersonNet, boxes_of, cell_centres
 from train.samples import CROP_PX, Sample, visit
 
-CROPS_A_VISIT = 24
+CROPS_A_VISIT = 32
 BATCH = 16
 _CORE_PX = 7.0
 """Cells whose centre lies this near the middle of a box answer for it; the nearest always does."""
@@ -47,7 +47,7 @@ class Crops(IterableDataset[Any]):
             for k in rng.permutation(len(paths))[:64]:
                 pool += visit(paths[k], rng, CROPS_A_VISIT)
                 # crops of one map lie in different batches
-                while len(pool) >= 8 * BATCH:
+                while len(pool) >= 16 * BATCH:
                     chosen = rng.permutation(len(pool))[:BATCH]
                     yield collate([pool[i] for i in chosen])
                     pool = [s for i, s in enumerate(pool) if i not in set(chosen.tolist())]

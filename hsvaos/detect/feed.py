@@ -113,7 +113,7 @@ class PhotoFeed:
 
 
 class OwnFeed:
-    """Feeds our own networks: eight channels, not scaled but for their sampling distance.
+    """Feeds our own networks: fourteen channels, not scaled but for their sampling distance.
 
     Attributes:
         score: Score from which a box counts, by default.
@@ -164,7 +164,10 @@ class OwnFeed:
                 yield Tile(number, self._planes(part), Placement(), window, scale)
 
     def _planes(self, view: ViewInput) -> Array:
-        planes = network_input(view.image, view.footprint, view.rarity, view.plain)
+        agreed = None
+        if view.coherent is not None and view.coherence is not None:
+            agreed = (view.coherent, view.coherence)
+        planes = network_input(view.image, view.footprint, view.rarity, view.plain, agreed)
         height, width = (
             fixed or -(-side // self._stride) * self._stride
             for fixed, side in zip(self._fixed, view.size, strict=True)

@@ -102,7 +102,8 @@ def network_input(
         whole[7] = np.log1p(np.maximum(np.nan_to_num(rays, nan=0.0), 0.0)) / 4.0
     if coherence is not None:
         colours, known = _sized(coherence[0], size, "coherence[0]")
-        agreement = np.nan_to_num(_fitting(coherence[1], size, "coherence[1]"), nan=0.0)
+        much = _fitting(coherence[1], size, "coherence[1]")
+        agreement = np.nan_to_num(np.zeros(size, np.float32) if much is None else much, nan=0.0)
         agreed = agreement * agreement
         everywhere = np.ones(size, dtype=np.bool_) if rays is None else rays > 0.0
         whole[8] = _contrast(agreed[..., None], everywhere, _compressed)[0]
@@ -119,7 +120,8 @@ def _weighed(
 ) -> NDArray[np.float32]:
     """Contrast of values times how rare their colours are, 1e-3 to 1."""
     rare = np.exp(np.float32(np.log(10.0)) * (np.minimum(surprises, np.float32(3.0)) - 3.0))
-    return _contrast((values * rare)[..., None], seen, _compressed)[0]
+    weighed = np.asarray(values * rare, dtype=np.float32)
+    return np.asarray(_contrast(weighed[..., None], seen, _compressed)[0], dtype=np.float32)
 
 
 def _clipped(z: NDArray[np.float32]) -> None:

@@ -30,12 +30,16 @@ class ViewInput:
         footprint: Shape (H, W), float32, rays of each pixel, 0 where there are none; or None.
         rarity: Shape (H, W), float32, the rarity map; or None.
         plain: Like the image, the integral image without a mask; or None.
+        coherent: Like the image, the mean colour of the rays that agree; or None.
+        coherence: Shape (H, W), float32, how much they do; None with `coherent`.
     """
 
     image: Array
     footprint: Array | None = None
     rarity: Array | None = None
     plain: Array | None = None
+    coherent: Array | None = None
+    coherence: Array | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -86,12 +90,15 @@ class ViewInput:
             total = scaled(values)
             return np.asarray(total / (share[..., None] if total.ndim == 3 else share))
 
-        others = [None if part is None else of_known(part) for part in (self.rarity, self.plain)]
+        others = [None if part is None else of_known(part) for part in self._others[1:]]
         return ViewInput(of_known(self.image), rays, *others)
 
+    @property
+    def _others(self) -> tuple[Array | None, ...]:
+        return self.footprint, self.rarity, self.plain, self.coherent, self.coherence
+
     def _each(self, change: Callable[[Array], Array]) -> ViewInput:
-        others = (self.footprint, self.rarity, self.plain)
-        changed = [None if part is None else change(part) for part in others]
+        changed = [None if part is None else change(part) for part in self._others]
         return ViewInput(change(self.image), *changed)
 
 
@@ -119,6 +126,7 @@ def checked_view(
     footprint: ArrayLike | None = None,
     rarity: ArrayLike | None = None,
     plain: ArrayLike | None = None,
+    coherence: tuple[ArrayLike, ArrayLike] | None = None,
 ) -> ViewInput:
     """Check the arrays of a view; NaN and infinity count as not known.
 
@@ -127,6 +135,8 @@ def checked_view(
         footprint: Shape (H, W), rays of each pixel; 0 where nothing is seen.
         rarity: Shape (H, W), mean rarity weight over the rays.
         plain: The integral image without a mask, shapes as `image`.
+        coherence: Mean colour of the rays that agree, shapes as `image`, and how much they do,
+            shape (H, W); see `Integrator.coherence`.
 
     Raises:
         ValueError: If a shape is wrong; the message names the argument.
@@ -137,10 +147,12 @@ def checked_view(
     rays = _map(footprint, "footprint", size)
     if rays is not None:
         rays = np.nan_to_num(rays, nan=0.0)
-    other = None if plain is None else _picture(plain, "plain")
-    if other is not None and other.shape[:2] != size:
-        raise ValueError(f"plain must have the image's size {size}, got {other.shape[:2]}")
-    return ViewInput(picture, rays, _map(rarity, "rarity", size), other)
+    rare = _map(rarity, "rarity", size)
+    if coherence is not None and len(coherence) != 2:
+        raise ValueError(f"coherence must be a pair (image, coherence), got {len(coherence)} parts")
+    agreed, much = (None, None) if coherence is None else coherence
+    other, agreed = (_other(plain, "plain", size), _other(agreed, "coherence[0]", size))
+    return ViewInput(picture, rays, rare, other, agreed, _map(much, "coherence[1]", size))
 
 
 def windows(size: tuple[int, int], side: tuple[int, int], overlap: int) -> list[Window]:
@@ -224,6 +236,15 @@ def _picture(image: ArrayLike, name: str) -> Array:
     if pixels.dtype not in (np.uint8, np.uint16):
         raise TypeError(f"{name} must hold uint8, uint16 or floats, got {pixels.dtype}")
     return pixels
+
+
+def _other(image: ArrayLike | None, name: str, size: tuple[int, int]) -> Array | None:
+    if image is None:
+        return None
+    other = _picture(image, name)
+    if other.shape[:2] != size:
+        raise ValueError(f"{name} must have the image's size {size}, got {other.shape[:2]}")
+    return other
 
 
 def _map(values: ArrayLike | None, name: str, size: tuple[int, int]) -> Array | None:

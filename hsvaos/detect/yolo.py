@@ -108,6 +108,7 @@ class Detector:
         footprint: ArrayLike | None = None,
         rarity: ArrayLike | None = None,
         plain: ArrayLike | None = None,
+        coherence: tuple[ArrayLike, ArrayLike] | None = None,
         gsd_m: float | None = None,
     ) -> Detections:
         """Find the people in one view.
@@ -119,6 +120,7 @@ class Detector:
                 pixel is seen, by nobody knows how many.
             rarity: Shape (H, W), mean rarity weight over the rays, for our own networks.
             plain: Like the image, the integral image without a mask, for our own networks.
+            coherence: What `Integrator.coherence` returns, for our own networks.
             gsd_m: Ground sampling distance [m/px]. Our own networks were trained for 0.045 to
                 0.09: beyond that the view is resampled. By default it is taken as it is.
 
@@ -134,6 +136,7 @@ class Detector:
             footprints=None if footprint is None else [footprint],
             rarities=None if rarity is None else [rarity],
             plains=None if plain is None else [plain],
+            coherences=None if coherence is None else [coherence],
             gsd_m=gsd_m,
         )[0]
 
@@ -144,6 +147,7 @@ class Detector:
         footprints: Sequence[ArrayLike | None] | None = None,
         rarities: Sequence[ArrayLike | None] | None = None,
         plains: Sequence[ArrayLike | None] | None = None,
+        coherences: Sequence[tuple[ArrayLike, ArrayLike] | None] | None = None,
         gsd_m: float | Sequence[float | None] | None = None,
     ) -> list[Detections]:
         """Find the people in several views, several at a time where the network allows it.
@@ -153,6 +157,7 @@ class Detector:
             footprints: One a view, or None.
             rarities: One a view, or None.
             plains: One a view, or None.
+            coherences: One pair a view, or None.
             gsd_m: For all views, or one a view [m/px].
 
         Returns:
@@ -168,6 +173,7 @@ class Detector:
             _one_each(footprints, count, "footprints"),
             _one_each(rarities, count, "rarities"),
             _one_each(plains, count, "plains"),
+            _one_each(coherences, count, "coherences"),
         )
         many = isinstance(gsd_m, Sequence | np.ndarray) and not isinstance(gsd_m, str)
         distances = _one_each(gsd_m if many else [gsd_m] * count, count, "gsd_m")
