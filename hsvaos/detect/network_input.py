@@ -12,12 +12,12 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hsvaos.detect.surprise import surprise
+from hsvaos.detect.surprise import surprise_of_colours, surprise_of_contrasts
 
 CHANNELS = (
     *("red", "green", "blue", "plain red", "plain green", "plain blue", "rarity", "rays"),
-    *("coherence", "surprise", "plain surprise", "coherent surprise"),
-    *("surprising rarity", "surprising coherence"),
+    *("coherence", "plain surprise", "rare colour", "rare contrast"),
+    *("coherent colour", "coherent contrast"),
 )
 """Channels of the network's input, in order."""
 
@@ -57,8 +57,8 @@ def network_input(
     Every pixel becomes its distance from the mean of its surround, a square of 129 pixels, in
     deviations of that surround, one deviation for the three colours together so that hue stays.
     Mean and deviation are those of the values clipped at 3 deviations. No value depends on the
-    exposure of the whole image. To this come the surprise of colours within the whole image (see
-    `surprise`), by itself and times rarity map and coherence. What is not known is 0.
+    exposure of the whole image. To this comes the surprise of colours and contrasts within the
+    whole image (see `surprise`), weighed by rarity map and coherence. What is not known is 0.
 
     Args:
         image: Shape (H, W, 3) RGB or (H, W) grey, any number type; NaN where nothing was seen. The
@@ -82,41 +82,54 @@ def network_input(
         seen &= rays > 0.0
     whole = np.zeros((len(CHANNELS), *size), dtype=np.float32)
     whole[0:3] = _contrast(picture, seen)
-    whole[9], among_alike = surprise(picture, seen)
-    if plain is None:
-        whole[3:6], whole[10] = whole[0:3], whole[9]
-    else:
+    contrasts = surprise_of_contrasts(whole[0 : picture.shape[2]] / np.float32(_UNIT), seen)
+    colours = contrasts  # grey has none, and its levels follow the exposure
+    if picture.shape[2] == 3:
+        colours = surprise_of_colours(picture, seen)
+    whole[3:6], whole[9] = whole[0:3], contrasts
+    if plain is not None:
         second, known = _sized(plain, size, "plain")
         known = known if rays is None else known & (rays > 0.0)
         whole[3:6] = _contrast(second, known)
-        whole[10], _ = surprise(second, known)
+        parts = whole[3 : 3 + second.shape[2]] / np.float32(_UNIT)
+        whole[9] = surprise_of_contrasts(parts, known)
+    whole[9] *= np.float32(_SURPRISE_UNIT)
     rare = _fitting(rarity, size, "rarity")
+    known, weight = seen, np.ones(size, dtype=np.float32)
     if rare is not None:
         known = np.isfinite(rare) & (seen if rays is None else rays > 0.0)
-        rare = np.where(known, rare, np.float32(0.0))
-        whole[6] = _contrast(rare[..., None], known)[0]
-        whole[12] = _weighed(rare, among_alike, known)
-    else:
-        whole[12] = _weighed(np.float32(1.0), among_alike, seen)
+        weight = np.where(known, rare, np.float32(0.0))
+        whole[6] = _contrast(weight[..., None], known)[0]
+    whole[10] = _weighed(weight, colours, known)
+    whole[11] = _weighed(weight, contrasts, known)
     if rays is not None:
         whole[7] = np.log1p(np.maximum(np.nan_to_num(rays, nan=0.0), 0.0)) / 4.0
     if coherence is not None:
-        colours, known = _sized(coherence[0], size, "coherence[0]")
-        much = _fitting(coherence[1], size, "coherence[1]")
-        agreement = np.nan_to_num(np.zeros(size, np.float32) if much is None else much, nan=0.0)
-        agreed = agreement * agreement
         everywhere = np.ones(size, dtype=np.bool_) if rays is None else rays > 0.0
-        whole[8] = _contrast(agreed[..., None], everywhere, _compressed)[0]
-        whole[11], among_alike = surprise(colours, known & (agreement > 0.0))
-        whole[13] = _weighed(agreed, among_alike, everywhere)
-    whole[9:12] *= np.float32(_SURPRISE_UNIT)
+        whole[8], whole[12], whole[13] = _coherence(coherence, everywhere)
     return whole
 
 
+def _coherence(
+    pair: tuple[Any, Any], seen: NDArray[np.bool_]
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """Return the channels of coherence, itself and weighed by its colours' surprise."""
+    picture, known = _sized(pair[0], seen.shape, "coherence[0]")
+    much = _fitting(pair[1], seen.shape, "coherence[1]")
+    agreement = np.nan_to_num(np.zeros(seen.shape, np.float32) if much is None else much, nan=0.0)
+    known = known & (agreement > 0.0)
+    weight = agreement * agreement
+    parts = _contrast(picture, known) / np.float32(_UNIT)
+    contrasts = surprise_of_contrasts(parts, known)
+    colours = contrasts
+    if picture.shape[2] == 3:
+        colours = surprise_of_colours(picture, known, among_alike=True)
+    itself = np.asarray(_contrast(weight[..., None], seen, _compressed)[0], dtype=np.float32)
+    return itself, _weighed(weight, colours, seen), _weighed(weight, contrasts, seen)
+
+
 def _weighed(
-    values: NDArray[np.float32] | np.float32,
-    surprises: NDArray[np.float32],
-    seen: NDArray[np.bool_],
+    values: NDArray[np.float32], surprises: NDArray[np.float32], seen: NDArray[np.bool_]
 ) -> NDArray[np.float32]:
     """Contrast of values times how rare their colours are, 1e-3 to 1."""
     rare = np.exp(np.float32(np.log(10.0)) * (np.minimum(surprises, np.float32(3.0)) - 3.0))

@@ -2,7 +2,12 @@
 
 Rarity over the photos tells leaves from the rest; that rest is mostly bare ground, grass and
 trunks, rare among leaves, but common on the ground. A person's colours are rare there too. So the
-rarity of colours is asked for a second time, of the integral image itself.
+rarity of colours is asked for a second time, of the integral image itself: of its colours, and of
+its contrasts, which no exposure changes. The one finds more of those few rays reach, the other more
+of those in half shade.
+
+With p the share of the pixels that are alike, the surprise of a pixel is log10(q / p), where
+q = sum(p^2) is the mean of p over the pixels; 0 where p is greater.
 """
 
 from __future__ import annotations
@@ -13,7 +18,6 @@ from numpy.typing import NDArray
 
 from hsvaos.rarity_model import (
     CHROMA_BINS,
-    GREY_BINS,
     LIGHTNESS_BINS,
     colour_bins,
     smoothed_planes,
@@ -26,48 +30,77 @@ _SMOOTHING_BINS = 0.7
 _MEDIAN = 0.25
 """Brightness that the median pixel is brought to: no exposure is better than another."""
 
+_CONTRAST_BINS = (16, 32, 32)
+"""Of lightness, red against green, and yellow against blue."""
 
-def surprise(
-    picture: NDArray[np.float32], seen: NDArray[np.bool_]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+_HALF_WAY = 2.0
+"""Contrast, in deviations, in the middle of the bins of one sign: greater ones lie ever closer."""
+
+
+def surprise_of_colours(
+    picture: NDArray[np.float32], seen: NDArray[np.bool_], *, among_alike: bool = False
+) -> NDArray[np.float32]:
     """Return how much rarer each pixel's colour is than a typical one, in powers of ten.
 
-    With p the share of the pixels that have the colour (CIE Lab, bins as `rarity_model`), the
-    surprise is log10(q / p), where q = sum(p^2) is the mean of p over the pixels; 0 where the
-    colour is more frequent than that.
+    CIE Lab, bins as `rarity_model`.
 
     Args:
-        picture: Shape (H, W, 3) RGB or (H, W, 1) grey, in any unit.
+        picture: Shape (H, W, 3), RGB in any unit.
+        seen: Shape (H, W), the pixels that count; others get 0.
+        among_alike: Whether among pixels of the same lightness only.
+
+    Returns:
+        Shape (H, W), 0 to 4.
+    """
+    if not seen.any():
+        return np.zeros(seen.shape, dtype=np.float32)
+    brightest = picture.max(axis=2)
+    middle = float(np.median(brightest[seen])) or float(brightest[seen].max()) or 1.0
+    unit = np.clip(picture * np.float32(_MEDIAN / middle), np.float32(0.0), np.float32(1.0))
+    bins = colour_bins(cv2.cvtColor(unit, cv2.COLOR_RGB2Lab))
+    planes = _counted(bins, seen, (LIGHTNESS_BINS, CHROMA_BINS, CHROMA_BINS))
+    rare = np.stack([_rarer(plane) for plane in planes]) if among_alike else _rarer(planes)
+    return np.asarray(rare.reshape(-1)[bins] * seen, dtype=np.float32)
+
+
+def surprise_of_contrasts(
+    contrast: NDArray[np.float32], seen: NDArray[np.bool_]
+) -> NDArray[np.float32]:
+    """Return how much rarer each pixel's contrast is than a typical one, in powers of ten.
+
+    Args:
+        contrast: Shape (3, H, W), or (1, H, W) of grey, deviations from the surround in units of
+            its standard deviation.
         seen: Shape (H, W), the pixels that count; others get 0.
 
     Returns:
-        Two maps, shape (H, W), 0 to 4: of colour and lightness together, and of colour among
-        pixels of the same lightness (of grey levels, twice the same).
+        Shape (H, W), 0 to 4.
     """
-    nothing = np.zeros(seen.shape, dtype=np.float32)
     if not seen.any():
-        return nothing, nothing
-    brightest = picture.max(axis=2) if picture.shape[2] > 1 else picture[..., 0]
-    middle = float(np.median(brightest[seen]))
-    if not middle > 0.0:
-        middle = float(brightest[seen].max()) or 1.0
-    unit = np.clip(picture * np.float32(_MEDIAN / middle), np.float32(0.0), np.float32(1.0))
-    shape: tuple[int, ...]
-    if picture.shape[2] == 3:
-        bins = colour_bins(cv2.cvtColor(unit, cv2.COLOR_RGB2Lab))
-        shape = (LIGHTNESS_BINS, CHROMA_BINS, CHROMA_BINS)
+        return np.zeros(seen.shape, dtype=np.float32)
+    if len(contrast) == 1:
+        parts, sizes = [contrast[0]], (1, 1, 4 * _CONTRAST_BINS[1])
     else:
-        bins = (unit[..., 0] * np.float32(GREY_BINS - 1) + np.float32(0.5)).astype(np.int32)
-        shape = (GREY_BINS,)
+        red, green, blue = contrast
+        yellow = np.float32(0.5) * (red + green)
+        lightness = (red + green + blue) * np.float32(1.0 / 3.0)
+        parts, sizes = [lightness, red - green, yellow - blue], _CONTRAST_BINS
+    bins = np.zeros(seen.shape, dtype=np.int32)
+    for part, size in zip(parts, sizes[-len(parts) :], strict=True):
+        share = part / (np.float32(_HALF_WAY) + np.abs(part))
+        bins = bins * size + ((share + np.float32(1.0)) * np.float32(0.5 * size)).astype(np.int32)
+    rare = _rarer(_counted(bins, seen, sizes))
+    return np.asarray(rare.reshape(-1)[bins] * seen, dtype=np.float32)
+
+
+def _counted(
+    bins: NDArray[np.int32], seen: NDArray[np.bool_], shape: tuple[int, int, int]
+) -> NDArray[np.float64]:
     counts = np.bincount(bins[seen], minlength=int(np.prod(shape))).reshape(shape)
-    planes = smoothed_planes(counts, _SMOOTHING_BINS)
-    together = _rarer(planes / planes.sum())
-    alike = np.stack([_rarer(plane / max(float(plane.sum()), 1e-12)) for plane in planes])
-    known = seen.astype(np.float32)
-    return together.reshape(-1)[bins] * known, alike.reshape(-1)[bins] * known
+    return smoothed_planes(counts, _SMOOTHING_BINS)
 
 
-def _rarer(share: NDArray[np.float64]) -> NDArray[np.float32]:
-    typical = float((share * share).sum())
-    ratio = max(typical, 1e-12) / np.maximum(share, 1e-12)
-    return np.clip(np.log10(ratio), 0.0, MOST).astype(np.float32)
+def _rarer(counts: NDArray[np.float64]) -> NDArray[np.float32]:
+    share = counts / max(float(counts.sum()), 1e-12)
+    typical = max(float((share * share).sum()), 1e-12)
+    return np.clip(np.log10(typical / np.maximum(share, 1e-12)), 0.0, MOST).astype(np.float32)
