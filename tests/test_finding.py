@@ -24,6 +24,7 @@ def layers():
     found = {name: picture() for name in ("chosen", "plain", "rarity")}
     for name in ("rarity_map", "anomaly_map"):
         found[name] = (np.abs(rng.normal(0.02, 0.004, (*SIZE, 1))).astype(np.float32), rays)
+    found["coherence"] = (picture()[0], np.abs(rng.normal(0.1, 0.02, SIZE)).astype(np.float32))
     return found
 
 
@@ -51,10 +52,20 @@ def settings(**values):
 )
 def test_the_network_sees_everything(red_net, channel, layer):
     finder = make_finder(settings(model=red_net(channel)), 30)
-    assert set(finder.layers) == {"rarity", "plain", "rarity_map"}
+    assert set(finder.layers) == {"rarity", "plain", "rarity_map", "coherence"}
     shown = layers()
     assert len(finder(shown, 0.05)) == 0
     shown[layer][0][64:80, 96:112, 0] *= 3.0
+    found = finder(shown, 0.05)
+    assert len(found) == 1
+    assert found.boxes_xyxy[0] == pytest.approx([95.5, 63.5, 111.5, 79.5], abs=1e-3)
+
+
+def test_the_network_sees_coherence(red_net):
+    finder = make_finder(settings(model=red_net("coherence")), 30)
+    shown = layers()
+    assert len(finder(shown, 0.05)) == 0
+    shown["coherence"][1][64:80, 96:112] *= 6.0
     found = finder(shown, 0.05)
     assert len(found) == 1
     assert found.boxes_xyxy[0] == pytest.approx([95.5, 63.5, 111.5, 79.5], abs=1e-3)

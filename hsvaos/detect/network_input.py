@@ -5,13 +5,12 @@ The same lines prepare integral images for training and for finding people.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hsvaos.detect.contrast import local_contrast
 from hsvaos.detect.surprise import surprise_of_colours, surprise_of_contrasts
 
 CHANNELS = (
@@ -24,14 +23,6 @@ CHANNELS = (
 TRAINED_GSD_M = (0.045, 0.09)
 """Ground sampling distances [m/px] between which the network was trained."""
 
-_SURROUND_PX = 129
-"""Side of the surround: some three times a lying person at the finest sampling trained for."""
-
-_CLIP = 3.0
-"""Deviations beyond which a value counts no more in its own surround."""
-
-_CLIPPINGS = 2
-
 _LIMIT = 8.0
 """Contrast is cut off there: a lamp must not drown a person beside it."""
 
@@ -40,9 +31,6 @@ _UNIT = 0.25
 
 _COMPRESSED_UNIT = 0.5
 _SURPRISE_UNIT = 0.5
-
-_LEAST_DEVIATION = 0.1
-"""In medians of the deviation over the image: flat surroundings must not show noise as contrast."""
 
 
 def network_input(
@@ -81,8 +69,8 @@ def network_input(
     if rays is not None:
         seen &= rays > 0.0
     whole = np.zeros((len(CHANNELS), *size), dtype=np.float32)
-    whole[0:3] = _contrast(picture, seen)
-    contrasts = surprise_of_contrasts(whole[0 : picture.shape[2]] / np.float32(_UNIT), seen)
+    whole[0:3] = _clipped(local_contrast(picture, seen))
+    contrasts = surprise_of_contrasts(_deviations(whole[0 : picture.shape[2]]), seen)
     colours = contrasts  # grey has none, and its levels follow the exposure
     if picture.shape[2] == 3:
         colours = surprise_of_colours(picture, seen)
@@ -90,16 +78,15 @@ def network_input(
     if plain is not None:
         second, known = _sized(plain, size, "plain")
         known = known if rays is None else known & (rays > 0.0)
-        whole[3:6] = _contrast(second, known)
-        parts = whole[3 : 3 + second.shape[2]] / np.float32(_UNIT)
-        whole[9] = surprise_of_contrasts(parts, known)
+        whole[3:6] = _clipped(local_contrast(second, known))
+        whole[9] = surprise_of_contrasts(_deviations(whole[3 : 3 + second.shape[2]]), known)
     whole[9] *= np.float32(_SURPRISE_UNIT)
     rare = _fitting(rarity, size, "rarity")
     known, weight = seen, np.ones(size, dtype=np.float32)
     if rare is not None:
         known = np.isfinite(rare) & (seen if rays is None else rays > 0.0)
         weight = np.where(known, rare, np.float32(0.0))
-        whole[6] = _contrast(weight[..., None], known)[0]
+        whole[6] = _clipped(local_contrast(weight[..., None], known))[0]
     whole[10] = _weighed(weight, colours, known)
     whole[11] = _weighed(weight, contrasts, known)
     if rays is not None:
@@ -119,12 +106,12 @@ def _coherence(
     agreement = np.nan_to_num(np.zeros(seen.shape, np.float32) if much is None else much, nan=0.0)
     known = known & (agreement > 0.0)
     weight = agreement * agreement
-    parts = _contrast(picture, known) / np.float32(_UNIT)
-    contrasts = surprise_of_contrasts(parts, known)
+    parts = _clipped(local_contrast(picture, known))
+    contrasts = surprise_of_contrasts(_deviations(parts), known)
     colours = contrasts
     if picture.shape[2] == 3:
         colours = surprise_of_colours(picture, known, among_alike=True)
-    itself = np.asarray(_contrast(weight[..., None], seen, _compressed)[0], dtype=np.float32)
+    itself: NDArray[np.float32] = _compressed(local_contrast(weight[..., None], seen))[0]
     return itself, _weighed(weight, colours, seen), _weighed(weight, contrasts, seen)
 
 
@@ -134,18 +121,26 @@ def _weighed(
     """Contrast of values times how rare their colours are, 1e-3 to 1."""
     rare = np.exp(np.float32(np.log(10.0)) * (np.minimum(surprises, np.float32(3.0)) - 3.0))
     weighed = np.asarray(values * rare, dtype=np.float32)
-    return np.asarray(_contrast(weighed[..., None], seen, _compressed)[0], dtype=np.float32)
+    channel: NDArray[np.float32] = _compressed(local_contrast(weighed[..., None], seen))[0]
+    return channel
 
 
-def _clipped(z: NDArray[np.float32]) -> None:
+def _clipped(z: NDArray[np.float32]) -> NDArray[np.float32]:
     np.clip(z, -_LIMIT, _LIMIT, out=z)
     z *= np.float32(_UNIT)
+    return z
 
 
-def _compressed(z: NDArray[np.float32]) -> None:
+def _deviations(channels: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.multiply(channels, np.float32(1.0 / _UNIT), dtype=np.float32)
+
+
+def _compressed(z: NDArray[np.float32]) -> NDArray[np.float32]:
     """For what is next to nothing almost everywhere: many deviations still tell."""
     np.maximum(z, np.float32(-_LIMIT), out=z)
-    z[...] = np.sign(z) * np.log1p(np.abs(z)) * np.float32(_COMPRESSED_UNIT)
+    size = np.log1p(np.abs(z))
+    size *= np.float32(_COMPRESSED_UNIT)
+    return np.copysign(size, z, out=size)
 
 
 def _sized(
@@ -181,69 +176,3 @@ def _fitting(values: Any, size: tuple[int, ...], name: str) -> NDArray[np.float3
     if plane.shape != size:
         raise ValueError(f"{name} must have the image's size {size}, got {plane.shape}")
     return plane
-
-
-def _contrast(
-    picture: NDArray[np.float32],
-    seen: NDArray[np.bool_],
-    limited: Callable[[NDArray[np.float32]], None] | None = None,
-) -> NDArray[np.float32]:
-    """Return the local contrast of (H, W, C) as (C, H, W), or of grey as (1, H, W)."""
-    limit = limited or _clipped
-    channels = picture.shape[2]
-    out = np.zeros((channels, *picture.shape[:2]), dtype=np.float32)
-    if not seen.any():
-        return out
-    known = seen.astype(np.float32)
-    whole = bool(seen.all())
-    # a shift of the origin keeps the sums of squares exact
-    offset = np.array(cv2.mean(picture, seen.view(np.uint8))[:channels], dtype=np.float32)
-    # channel by channel and in place: sums over the last axis would cost most of the time
-    values = [picture[..., k] - offset[k] for k in range(channels)]
-    if not whole:
-        for value in values:
-            value *= known
-    share = np.float32(1.0) / np.maximum(_mean(known), np.float32(1e-6))
-
-    def moments(
-        parts: list[NDArray[np.float32]],
-    ) -> tuple[list[NDArray[np.float32]], NDArray[np.float32]]:
-        centres = [_mean(part) for part in parts]
-        for centre in centres:
-            centre *= share
-        total = np.zeros_like(known)
-        for part in parts:
-            total += part * part
-        variance = _mean(total)
-        variance *= share
-        for centre in centres:
-            variance -= centre * centre
-        variance /= np.float32(channels)
-        np.maximum(variance, np.float32(0.0), out=variance)
-        return centres, np.sqrt(variance, out=variance)
-
-    centres, deviation = moments(values)
-    for _ in range(_CLIPPINGS):
-        reach = np.float32(_CLIP) * deviation
-        clipped = []
-        for value, centre in zip(values, centres, strict=True):
-            part = np.minimum(value, centre + reach)
-            np.maximum(part, centre - reach, out=part)
-            clipped.append(part if whole else part * known)
-        centres, deviation = moments(clipped)
-    typical = float(np.median(deviation if whole else deviation[seen]))
-    least = max(_LEAST_DEVIATION * typical, 1e-6 * float(np.abs(offset).max()), 1e-12)
-    scale = np.float32(1.0) / np.maximum(deviation, np.float32(least))
-    for k, (value, centre) in enumerate(zip(values, centres, strict=True)):
-        z = np.subtract(value, centre, out=out[k])
-        z *= scale
-        limit(z)
-        z *= known
-    return out
-
-
-def _mean(part: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return box means; what lies outside the picture counts as 0."""
-    box = (_SURROUND_PX, _SURROUND_PX)
-    mean = cv2.boxFilter(part, cv2.CV_32F, box, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(mean, dtype=np.float32).reshape(part.shape)

@@ -54,7 +54,8 @@ def surprise_of_colours(
     """
     if not seen.any():
         return np.zeros(seen.shape, dtype=np.float32)
-    brightest = picture.max(axis=2)
+    # not max(axis=2): over a last axis of three that takes ten times as long
+    brightest = np.maximum(np.maximum(picture[..., 0], picture[..., 1]), picture[..., 2])
     middle = float(np.median(brightest[seen])) or float(brightest[seen].max()) or 1.0
     unit = np.clip(picture * np.float32(_MEDIAN / middle), np.float32(0.0), np.float32(1.0))
     bins = colour_bins(cv2.cvtColor(unit, cv2.COLOR_RGB2Lab))

@@ -6,6 +6,8 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
+from hsvaos.detect.network_input import CHANNELS
+
 SIDE = 96
 """Side of the input of networks of a fixed size [px]."""
 
@@ -214,5 +216,5 @@ def own_net(
     net.named(net.node("Sub", net.rows(*corners), net.const(0.5)), "boxes")
     score = net.node("Reshape", net.node("Sigmoid", mean), net.const([0, -1], np.int64))
     net.named(score, "scores")
-    inputs = {"input": (_shape(dynamic, batch, 8), TensorProto.FLOAT)}
+    inputs = {"input": (_shape(dynamic, batch, len(CHANNELS)), TensorProto.FLOAT)}
     return net.model(inputs, {"boxes": 3, "scores": 2}, OWN if metadata is None else metadata)
