@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hsvaos.camera import finite_number
 from hsvaos.detect.fitting import Placement, as_bytes, fitted, padded
-from hsvaos.detect.layouts import Layout, input_size
+from hsvaos.detect.layouts import Layout, input_size, own_channels
 from hsvaos.detect.network import Network
 from hsvaos.detect.network_input import TRAINED_GSD_M, network_input
 from hsvaos.detect.view_input import ViewInput, Window, trained_size, windows
@@ -113,7 +113,7 @@ class PhotoFeed:
 
 
 class OwnFeed:
-    """Feeds our own networks: fourteen channels, not scaled but for their sampling distance.
+    """Feeds our own networks: the channels they name, scaled only to their sampling distance.
 
     Attributes:
         score: Score from which a box counts, by default.
@@ -130,6 +130,7 @@ class OwnFeed:
 
     def __init__(self, network: Network, layout: Layout, slice_px: int | None) -> None:
         self._stride = _stride(network)
+        self._channels = list(own_channels(network))
         self.score = _threshold(network, layout.score)
         self._fixed = network.picture.shape[2:]
         height, width = (
@@ -168,6 +169,8 @@ class OwnFeed:
         if view.coherent is not None and view.coherence is not None:
             agreed = (view.coherent, view.coherence)
         planes = network_input(view.image, view.footprint, view.rarity, view.plain, agreed)
+        if self._channels != list(range(len(planes))):
+            planes = planes[self._channels]
         height, width = (
             fixed or -(-side // self._stride) * self._stride
             for fixed, side in zip(self._fixed, view.size, strict=True)

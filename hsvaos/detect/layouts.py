@@ -122,6 +122,30 @@ def layout_of(network: Network, asked: str) -> tuple[Layout, Shapes]:
     return layout, shapes
 
 
+def own_channels(network: Network) -> tuple[int, ...]:
+    """Return which channels of `network_input` a network of our own takes, in its order.
+
+    Its metadata name them, so that a network goes on working when later ones are shown more.
+
+    Args:
+        network: The network.
+
+    Raises:
+        ValueError: If it names a channel that there is not.
+    """
+    told = network.metadata.get("channels")
+    if told is None:
+        return tuple(range(len(CHANNELS)))
+    names = [name.strip() for name in told.split(",")]
+    unknown = [name for name in names if name not in CHANNELS]
+    if unknown:
+        raise ValueError(
+            f"{network.name}: expected channels among {', '.join(CHANNELS)} in the metadata, got "
+            f"{unknown[0]!r}"
+        )
+    return tuple(CHANNELS.index(name) for name in names)
+
+
 def class_count(layout: Layout, shapes: Shapes) -> int | None:
     """Return how many classes the outputs tell apart, or None where they do not show it."""
     if layout.name == "hsvaos":
@@ -256,7 +280,7 @@ def _check(network: Network, layout: Layout, shapes: Shapes) -> None:
         fits &= any(port.name == "orig_target_sizes" for port in network.inputs)
     elif len(network.inputs) != 1:
         fits = False
-    channels = len(CHANNELS) if layout.name == "hsvaos" else 3
+    channels = len(own_channels(network)) if layout.name == "hsvaos" else 3
     if network.picture.shape[1] not in (channels, None):
         fits, wanted = False, f"{channels} input channels"
         got = f"{network.picture.shape[1]}"

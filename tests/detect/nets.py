@@ -210,11 +210,17 @@ def own_net(
     metadata: dict[str, str] | None = None,
     batch: int | str | None = None,
 ) -> bytes:
-    """A network of our own layout: cells of 16 px, scored by the sigmoid of their mean."""
+    """A network of our own layout: cells of 16 px, scored by the sigmoid of their mean.
+
+    Channels without a weight do not count.
+    """
+    told = OWN if metadata is None else metadata
+    channels = len(told["channels"].split(",")) if "channels" in told else len(CHANNELS)
+    weights = weights + [0.0] * (channels - len(weights))
     net = Net()
     corners, (mean,) = net.cells("input", (16,), (weights, bias))
     net.named(net.node("Sub", net.rows(*corners), net.const(0.5)), "boxes")
     score = net.node("Reshape", net.node("Sigmoid", mean), net.const([0, -1], np.int64))
     net.named(score, "scores")
-    inputs = {"input": (_shape(dynamic, batch, len(CHANNELS)), TensorProto.FLOAT)}
-    return net.model(inputs, {"boxes": 3, "scores": 2}, OWN if metadata is None else metadata)
+    inputs = {"input": (_shape(dynamic, batch, channels), TensorProto.FLOAT)}
+    return net.model(inputs, {"boxes": 3, "scores": 2}, told)

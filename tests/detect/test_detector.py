@@ -357,7 +357,7 @@ def test_gpu_that_cannot_be_started_is_said_aloud(
     assert detector.notes == ("cuda could not be started, the network runs on cpu",)
     assert "cuda could not be started" in caplog.text
     with pytest.raises(ValueError, match=r"cuda|CUDA"):
-        Detector(own_net([0.0] * 8), provider="cuda")
+        Detector(own_net([0.0] * len(CHANNELS)), provider="cuda")
 
 
 @given(seed=st.integers(0, 10**6))
@@ -368,6 +368,17 @@ def test_damaged_networks_work_or_say_why(seed: int) -> None:
         content[rng.integers(len(content))] = rng.integers(256)
     with contextlib.suppress(ValueError):
         Detector(bytes(content)).detect(np.zeros((20, 30, 3), np.uint8))
+
+
+def test_network_gets_the_channels_it_names() -> None:
+    image = with_person(5, 16, 32)
+    whole = Detector(own_net([0.0, 0.0, 4.0, 8.0] + [0.0] * (len(CHANNELS) - 4)), score=0.0)
+    names = {**OWN, "channels": "plain red, blue"}
+    part = Detector(own_net([8.0, 4.0], metadata=names), score=0.0)
+    for one, other in zip(part.detect(image).scores, whole.detect(image).scores, strict=True):
+        assert one == pytest.approx(other, abs=1e-6)
+    with pytest.raises(ValueError, match=r"expected channels among red, .* got 'infrared'"):
+        Detector(own_net([1.0], metadata={**OWN, "channels": "infrared"}))
 
 
 def test_input_is_what_training_prepares() -> None:
