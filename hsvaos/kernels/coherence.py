@@ -38,16 +38,11 @@ _FARTHEST = 4.0
 
 _rays = wp.types.vector(length=MOST_RAYS, dtype=float)
 _numbers = wp.types.vector(length=MOST_RAYS, dtype=int)
-_colours = wp.types.matrix(shape=(MOST_RAYS, 3), dtype=float)
 
 
 @wp.func
-def likeness(labs: _colours, a: int, b: int) -> float:
-    """How alike two of the colours are: a Gaussian of their distance, 1 where equal."""
-    x = labs[a, 0] - labs[b, 0]
-    y = labs[a, 1] - labs[b, 1]
-    z = labs[a, 2] - labs[b, 2]
-    apart = (x * x + y * y + z * z) / (LAB_SIGMA * LAB_SIGMA)
+def likeness(apart: float) -> float:
+    """How alike two colours are that lie so far apart, squared, in sigmas: 1 where equal."""
     if apart >= _FARTHEST:
         return 0.0
     return wp.exp(-apart)
@@ -114,29 +109,45 @@ def _coherence_kernel(pixel: Any, weight: Any, value: Any) -> Any:
                                 for j in range(1, MOST_RAYS):
                                     if held[j] <= held[least]:
                                         least = j
-        labs = _colours(0.0)
-        for j in range(count):
+        # three vectors, not a matrix, and each pair once: most of the time goes into this
+        light = _rays(0.0)
+        green = _rays(0.0)
+        blue = _rays(0.0)
+        alike = _rays(0.0)
+        for a in range(count):
             colour = as_colour(
-                times_gain(as_value(images[photo[j], spots[j]]), poses[photo[j]].gain)
+                times_gain(as_value(images[photo[a], spots[a]]), poses[photo[a]].gain)
             )
-            lab = lab_pixel(colour / white, gamma, curve)
-            labs[j, 0] = lab[0] * LIGHTNESS_SHARE
-            labs[j, 1] = lab[1]
-            labs[j, 2] = lab[2]
+            lab = lab_pixel(colour / white, gamma, curve) / LAB_SIGMA
+            grey = lab[0] * LIGHTNESS_SHARE
+            own = held[a]
+            agreed = own
+            for b in range(a):
+                dx = grey - light[b]
+                dy = lab[1] - green[b]
+                dz = lab[2] - blue[b]
+                same = likeness(dx * dx + dy * dy + dz * dz)
+                if same > 0.0:
+                    agreed += held[b] * same
+                    alike[b] += own * same
+            light[a] = grey
+            green[a] = lab[1]
+            blue[a] = lab[2]
+            alike[a] = agreed
         best = float(0.0)
         chosen = int(0)
         for a in range(count):
-            alike = float(0.0)
-            for b in range(count):
-                alike += held[b] * likeness(labs, a, b)
-            if held[a] * alike > best:
-                best = held[a] * alike
+            if held[a] * alike[a] > best:
+                best = held[a] * alike[a]
                 chosen = a
         total = value(0.0)
         if best > 0.0:
             sum_of_weights = float(0.0)
             for b in range(count):
-                share = held[b] * likeness(labs, chosen, b)
+                dx = light[chosen] - light[b]
+                dy = green[chosen] - green[b]
+                dz = blue[chosen] - blue[b]
+                share = held[b] * likeness(dx * dx + dy * dy + dz * dz)
                 total += (
                     times_gain(as_value(images[photo[b], spots[b]]), poses[photo[b]].gain) * share
                 )
