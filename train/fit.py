@@ -19,7 +19,7 @@ from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 from train.net import STRIDE, PersonNet, boxes_of, cell_centres
 from train.samples import CROP_PX, Sample, visit
 
-CROPS_A_VISIT = 32
+CROPS_A_VISIT = 48
 BATCH = 16
 _CORE_PX = 7.0
 """Cells whose centre lies this near the middle of a box answer for it; the nearest always does."""

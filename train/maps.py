@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,7 +19,8 @@ import hsvaos
 from hsvaos.camera import VirtualCamera
 from hsvaos.kernels.hue_mask import measure_hue
 from hsvaos.kernels.integrate import Integrator
-from hsvaos.masking import cut_hues, make_masks
+from hsvaos.kernels.rarity import apply_rarity, rarity_model
+from hsvaos.masking import Masks, cut_hues, make_masks
 from hsvaos.photos import Photos, load_photos
 from hsvaos.rendering import Integrators, hue_integrator, make_integrators
 from hsvaos.settings import Settings
@@ -36,6 +38,8 @@ CONDITIONS = 4
 """Maps of each flight."""
 
 _BORDER_M = 5.0
+_LEFT_OUT = 0.75
+"""Share of the people whose colours are not counted as colours of the flight."""
 
 
 @dataclass(frozen=True)
@@ -126,14 +130,15 @@ def make_maps(folder: Path, target: Path) -> None:
     seed = int(truth["settings"]["forest"]["seed"])
     rng = np.random.default_rng([seed, 302])
     photos = load_photos(flight, 1.0, "cpu", None)
-    ours, papers = _integrators(photos)
+    people = [np.array(person["outline_ned_m"]) for person in truth["people"]]
+    ours, papers = _integrators(photos, rng, people)
     reach = np.abs(flight.poses[:, :2, 3]).max(axis=0) + _BORDER_M
     gsd = float(np.median(-flight.poses[:, 2, 3])) / flight.camera.fx
     width, height = (int(2.0 * side / gsd) for side in reach[::-1])
     view = VirtualCamera.ortho(float(reach[0]), float(-reach[1]), gsd, width, height)
     counts = np.array(truth["pixels"]["by_photo"], dtype=np.float64)
     shares = np.where(counts[..., 1] >= 12, counts[..., 0] / np.maximum(counts[..., 1], 1.0), 0.0)
-    boxes = np.array([_box(view, np.array(p["outline_ned_m"])) for p in truth["people"]])
+    boxes = np.array([_box(view, outline) for outline in people])
     for number, condition in enumerate(conditions(rng)):
         path = target / f"{folder.name}_{number}.npz"
         chosen = np.arange(len(flight.poses))
@@ -160,9 +165,12 @@ def _box(view: VirtualCamera, outline: NDArray[np.float64]) -> NDArray[np.float6
     return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
 
 
-def _integrators(photos: Photos) -> tuple[Integrators, Integrators]:
+def _integrators(
+    photos: Photos, rng: np.random.Generator, people: list[NDArray[np.float64]]
+) -> tuple[Integrators, Integrators]:
     """Return integrators with our hue cut and with the paper's, the same else."""
     masks = make_masks(photos, Settings())
+    masks = replace(masks, rarity=_rarity_of_few(photos, masks, rng, people))
     ours = make_integrators(photos, masks, "rarity")
     if not photos.is_colour:
         return ours, ours
@@ -171,6 +179,35 @@ def _integrators(photos: Photos) -> tuple[Integrators, Integrators]:
     stats, _ = measure_hue(photos.images, *how, valid=photos.valid, gains=gains)
     cut = cut_hues(photos, mask, stats, gains)
     return ours, replace(ours, hue=hue_integrator(photos, *cut, gains))
+
+
+def _rarity_of_few(
+    photos: Photos, masks: Masks, rng: np.random.Generator, people: list[NDArray[np.float64]]
+) -> NDArray[np.float32]:
+    """Return rarity weights by a histogram that most people are kept out of.
+
+    Training flights are short and crowded: counted whole, clothes would be as common as flowers. In
+    a search there are few people on much more ground.
+    """
+    flight = photos.flight
+    left_out = [outline for outline in people if rng.uniform() < _LEFT_OUT]
+    valid = np.full((len(flight.poses), *photos.images.shape[1:3]), 255, dtype=np.uint8)
+    for pose, mask in zip(flight.poses, valid, strict=True):
+        for outline in left_out:
+            pixels = flight.camera.project((outline - pose[:3, 3]) @ pose[:3, :3])
+            if np.isfinite(pixels).all():
+                cv2.fillConvexPoly(mask, np.rint(pixels).astype(np.int32), 0)
+    mask = Settings().mask
+    model = rarity_model(
+        photos.images,
+        threshold=mask.rarity_threshold if photos.is_colour else mask.grey_rarity_threshold,
+        exponent=mask.rarity_exponent,
+        smoothing_bins=mask.rarity_smoothing_bins,
+        valid=valid,
+        gains=masks.gains,
+    )
+    weights = apply_rarity(photos.images, model, dtype="float32", gains=masks.gains)
+    return weights
 
 
 def _layers(

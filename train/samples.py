@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hsvaos.detect.network_input import CHANNELS, TRAINED_GSD_M, network_input
+from train.drawn import draw_figures
 from train.maps import COHERENCE, COHERENT, HUE_FOOTPRINT, PLANES, RARITY_MAP, RAYS
 
 CROP_PX = 256
@@ -18,6 +19,9 @@ LEAST_RAYS = 1.0
 
 LEAST_RAYS_SEEN = 3.0
 """Ground seen by fewer photos is not taught."""
+
+_DRAWN = 16
+"""People drawn into a map, where any are."""
 
 _KINDS = ("rarity", "hue", "plain")
 
@@ -49,9 +53,11 @@ def visit(path: Path, rng: np.random.Generator, crops: int) -> list[Sample]:
         layers = data["layers"].astype(np.float32)
         boxes, rays, gsd = data["boxes"], data["rays"], float(data["gsd"])
         colour = bool(data["colour"])
-    layers, boxes = _scaled(layers, boxes, gsd, rng)
+    layers, boxes, gsd = _scaled(layers, boxes, gsd, rng)
     layers, boxes = _turned(layers, boxes, rng)
-    whole = _look(layers, colour, rng)
+    whole, drawn = _look(layers, boxes, gsd, colour, rng)
+    boxes = np.concatenate([boxes, drawn])
+    rays = np.concatenate([rays, np.full(len(drawn), np.inf)])
     height, width = whole.shape[1:]
     middle = 0.5 * (boxes[:, :2] + boxes[:, 2:])
     seen = _seen_at(layers[RAYS], middle)
@@ -76,7 +82,7 @@ def visit(path: Path, rng: np.random.Generator, crops: int) -> list[Sample]:
 
 def _scaled(
     layers: NDArray[np.float32], boxes: NDArray[np.float64], gsd: float, rng: np.random.Generator
-) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+) -> tuple[NDArray[np.float32], NDArray[np.float64], float]:
     low, high = TRAINED_GSD_M
     wanted = float(np.exp(rng.uniform(np.log(max(low, 0.9 * gsd)), np.log(high))))
     if rng.uniform() < 0.65:  # what users mostly look at: finer photos are brought to 5 cm
@@ -86,7 +92,7 @@ def _scaled(
     way = cv2.INTER_AREA if factor < 0.95 else cv2.INTER_LINEAR
     small = np.stack([cv2.resize(layer, (width, height), interpolation=way) for layer in layers])
     scale = np.array([width / layers.shape[2], height / layers.shape[1]] * 2)
-    return small, (boxes + 0.5) * scale - 0.5
+    return small, (boxes + 0.5) * scale - 0.5, wanted
 
 
 def _turned(
@@ -108,33 +114,50 @@ def _turned(
     return np.ascontiguousarray(layers), boxes
 
 
-def _look(layers: NDArray[np.float32], colour: bool, rng: np.random.Generator) -> NDArray:  # type: ignore[type-arg]
-    """Return the network's input for what a user may have: a kind of image, and more or less."""
+def _look(
+    layers: NDArray[np.float32],
+    boxes: NDArray[np.float64],
+    gsd: float,
+    colour: bool,
+    rng: np.random.Generator,
+) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Return the network's input for what a user may have, and boxes of people drawn into it."""
+    if rng.uniform() < (0.3 if colour else 0.6):
+        return _alone(layers, boxes, gsd, colour, rng)
     kind = str(rng.choice(_KINDS, p=[0.6, 0.2, 0.2]))
+    image = _image(layers, kind)
+    rays = layers[RAYS]
+    if kind == "hue" and rng.uniform() < 0.3:
+        rays = layers[HUE_FOOTPRINT]
+    known = rng.uniform(size=4) < [0.9, 0.9, 0.85, 0.6]
+    if kind == "rarity" and rng.uniform() < 0.7:
+        known[:] = True  # as `hsvaos run` gives it
+    whole = network_input(
+        image,
+        rays if known[0] else None,
+        layers[RARITY_MAP] if known[1] else None,
+        _image(layers, "plain") if known[2] else None,
+        (np.moveaxis(layers[COHERENT], 0, 2), layers[COHERENCE]) if known[3] else None,
+    )
+    return _jittered(whole, rng), np.zeros((0, 4))
+
+
+def _image(layers: NDArray[np.float32], kind: str) -> NDArray[np.float32]:
     image = np.moveaxis(layers[PLANES[kind]], 0, 2)
-    plain = np.moveaxis(layers[PLANES["plain"]], 0, 2)
-    rays, rarity = layers[RAYS], layers[RARITY_MAP]
-    coherent = (np.moveaxis(layers[COHERENT], 0, 2), layers[COHERENCE])
     if kind == "hue":  # no sample is not black
-        image = np.where(layers[HUE_FOOTPRINT, ..., None] > 0.0, image, np.float32(np.nan))
-    alone = rng.uniform() < (0.25 if colour else 0.6)
-    if not alone:
-        if kind == "hue" and rng.uniform() < 0.3:
-            rays = layers[HUE_FOOTPRINT]
-        known = rng.uniform(size=4) < [0.9, 0.9, 0.85, 0.6]
-        if kind == "rarity" and rng.uniform() < 0.6:
-            known[:] = True  # as `hsvaos run` gives it
-        return _jittered(
-            network_input(
-                image,
-                rays if known[0] else None,
-                rarity if known[1] else None,
-                plain if known[2] else None,
-                coherent if known[3] else None,
-            ),
-            rng,
-        )
-    image = image.copy()
+        return np.where(layers[HUE_FOOTPRINT, ..., None] > 0.0, image, np.float32(np.nan))
+    return image
+
+
+def _alone(
+    layers: NDArray[np.float32],
+    boxes: NDArray[np.float64],
+    gsd: float,
+    colour: bool,
+    rng: np.random.Generator,
+) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Return the input for an image of which nothing else is known, and who was drawn into it."""
+    image = _image(layers, str(rng.choice(_KINDS, p=[0.4, 0.3, 0.3]))).copy()
     if not colour or rng.uniform() < 0.4:
         grey = image @ rng.dirichlet(np.ones(3)).astype(np.float32)
         if rng.uniform() < 0.4:  # white hot and black hot
@@ -142,13 +165,22 @@ def _look(layers: NDArray[np.float32], colour: bool, rng: np.random.Generator) -
         image = np.repeat(grey[..., None], 3, axis=2)
     elif rng.uniform() < 0.5:
         image = image[..., rng.permutation(3)]
+    drawn = np.zeros((0, 4))
+    if rng.uniform() < 0.6:
+        if not colour or rng.uniform() < 0.4:
+            grey = np.ascontiguousarray(image[..., :1])
+            drawn = draw_figures(grey, boxes, gsd, _DRAWN, rng)
+            image = np.repeat(grey, 3, axis=2)
+        else:
+            image = np.ascontiguousarray(image)
+            drawn = draw_figures(image, boxes, gsd, _DRAWN, rng)
     if rng.uniform() < 0.3:
         blurred = cv2.GaussianBlur(np.nan_to_num(image), (0, 0), float(rng.uniform(0.4, 1.4)))
         image = np.where(np.isnan(image), image, blurred)
     if rng.uniform() < 0.3:
         image = 255.0 * np.power(np.clip(image / 255.0, 0.0, 1.0), rng.uniform(0.6, 1.6))
     image[layers[RAYS] <= 0.0] = np.nan if rng.uniform() < 0.5 else 0.0
-    return _jittered(network_input(image), rng)
+    return _jittered(network_input(image), rng), drawn
 
 
 def _jittered(whole: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:

@@ -6,26 +6,43 @@ import pytest
 torch = pytest.importorskip("torch", reason="needs pip install 'hsvaos[train]'")
 pytest.importorskip("onnx", reason="needs pip install 'hsvaos[train]'")
 
+from hsvaos.detect.network_input import CHANNELS, network_input  # noqa: E402
 from hsvaos.detect.yolo import Detector  # noqa: E402
+from train.drawn import draw_figures  # noqa: E402
 from train.export import export  # noqa: E402
 from train.fit import collate, loss_of, overlap  # noqa: E402
 from train.flights import FIRST_TRAINING_SEED, FIRST_TUNING_SEED, flight_settings  # noqa: E402
-from train.maps import CONDITIONS, Condition, conditions, disturbed  # noqa: E402
+from train.maps import (  # noqa: E402
+    COHERENCE,
+    COHERENT,
+    CONDITIONS,
+    HUE_FOOTPRINT,
+    LAYERS,
+    PLANES,
+    RARITY_MAP,
+    RAYS,
+    Condition,
+    conditions,
+    disturbed,
+)
 from train.net import STRIDE, Exported, PersonNet, boxes_of, cell_centres  # noqa: E402
 from train.samples import CROP_PX, Sample, visit  # noqa: E402
 
 
 def drawn_map(path, people=6, seed=0, side=420):
     rng = np.random.default_rng(seed)
-    layers = rng.normal(90.0, 6.0, (12, side, side)).astype(np.float32)
-    layers[9] = np.abs(rng.normal(0.02, 0.005, (side, side)))
-    layers[10] = 30.0
-    layers[11] = 5.0
+    layers = rng.normal(90.0, 6.0, (LAYERS, side, side)).astype(np.float32)
+    for one in (RARITY_MAP, COHERENCE):
+        layers[one] = np.abs(rng.normal(0.02, 0.005, (side, side)))
+    layers[RAYS] = 30.0
+    layers[HUE_FOOTPRINT] = 5.0
     corners = rng.uniform(40, side - 80, (people, 2)).round()
     boxes = np.concatenate([corners, corners + rng.uniform(14, 36, (people, 2)).round()], axis=1)
     for x0, y0, x1, y1 in boxes.astype(int):
-        layers[:9, y0:y1, x0:x1] += 40.0
-        layers[9, y0:y1, x0:x1] += 0.2
+        for one in (*PLANES.values(), COHERENT):
+            layers[one, y0:y1, x0:x1] += 40.0
+        for one in (RARITY_MAP, COHERENCE):
+            layers[one, y0:y1, x0:x1] += 0.2
     rays = np.full(people, 5.0)
     rays[0] = 0.1
     np.savez(path, layers=layers.astype(np.float16), boxes=boxes, rays=rays, gsd=0.05, colour=True)
@@ -39,7 +56,7 @@ def test_crops_keep_people_where_they_are(tmp_path, seed):
     assert len(samples) == 8
     found = 0
     for sample in samples:
-        assert sample.whole.shape == (8, CROP_PX, CROP_PX)
+        assert sample.whole.shape == (len(CHANNELS), CROP_PX, CROP_PX)
         assert np.isfinite(sample.whole).all()
         for x0, y0, x1, y1 in np.clip(np.rint(sample.boxes), 0, CROP_PX).astype(int):
             inside = sample.whole[0, y0 + 2 : y1 - 2, x0 + 2 : x1 - 2]
@@ -52,7 +69,7 @@ def test_crops_keep_people_where_they_are(tmp_path, seed):
 def test_cells_answer_for_people_and_not_for_those_nobody_can_see():
     seen = np.array([[40.0, 40.0, 70.0, 60.0]])
     unseen = np.array([[150.0, 150.0, 180.0, 170.0]])
-    whole = np.zeros((8, CROP_PX, CROP_PX), np.float32)
+    whole = np.zeros((len(CHANNELS), CROP_PX, CROP_PX), np.float32)
     _, wanted, boxes, people = collate([Sample(whole, seen, unseen)])
     centres = cell_centres(CROP_PX // STRIDE, CROP_PX // STRIDE).numpy()
     own = wanted[0].numpy() == 1.0
@@ -64,6 +81,25 @@ def test_cells_answer_for_people_and_not_for_those_nobody_can_see():
     assert people.tolist() == [1]
     hidden = (centres > [150, 150]).all(1) & (centres < [180, 170]).all(1)
     assert silent[hidden].all()
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_drawn_people_stand_out_where_their_boxes_are(channels):
+    rng = np.random.default_rng(2)
+    image = rng.normal(90.0, 3.0, (500, 600, channels)).astype(np.float32)
+    image[:, :40] = np.nan
+    before = image.copy()
+    there = np.array([[300.0, 240.0, 330.0, 260.0]])
+    found = draw_figures(image, there, 0.05, 12, rng)
+    assert 4 <= len(found) <= 12
+    changed = np.abs(image - before).max(axis=2)
+    assert np.isnan(image[:, :40]).all()
+    for box in found:
+        x0, y0, x1, y1 = box.astype(int)
+        assert changed[y0 : y1 + 1, x0 : x1 + 1].max() > 3.0
+        assert 6 < max(x1 - x0, y1 - y0) < 50  # a third of a metre to 2.5 m
+        assert np.hypot(*(0.5 * (box[:2] + box[2:]) - [315.0, 250.0])) > 40.0
+    assert np.nanmax(changed[240:261, 300:331]) < 1e-3
 
 
 def test_overlaps_and_boxes():
@@ -111,8 +147,6 @@ def test_training_learns_and_the_export_is_what_was_trained(tmp_path):
 
 
 def _input(image):
-    from hsvaos.detect.network_input import network_input
-
     return torch.from_numpy(network_input(image))[None]
 
 
