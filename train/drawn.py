@@ -1,8 +1,8 @@
 """People drawn into integral images: shapes and contrasts that the simulator does not know.
 
 A network that is shown a lone image, thermal above all, must not count on the simulator's forests
-and clothes. So figures of capsules are drawn into such crops, half hidden as leaves hide people, and
-with them things that are none: trunks, stones, warm patches.
+and clothes. So figures of capsules are drawn into such crops, half hidden as leaves hide people,
+and with them things that are none: trunks, stones, warm patches.
 """
 
 from __future__ import annotations

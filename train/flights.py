@@ -30,6 +30,8 @@ _SEARCHED_FOR = 20
 _APART_M = 2.7
 _BUSH_SHARE = 0.2
 _THERMAL_SHARE = 0.14
+_MOST_STEMS = 560.0
+"""Stems a hectare that surely find room where there are no glades."""
 
 
 def flight_settings(seed: int) -> SimulationSettings:
@@ -40,13 +42,14 @@ def flight_settings(seed: int) -> SimulationSettings:
     """
     rng = np.random.default_rng([seed, 301])
     season = str(rng.choice(["summer", "fall", "snow"], p=[0.37, 0.37, 0.26]))
+    density, glades = rng.uniform(280.0, 620.0), rng.uniform(0.0, 0.6)
     forest = ForestSettings(
         season=season,
         seed=seed,
-        density=float(rng.uniform(280.0, 620.0)),
+        density=float(min(density, _MOST_STEMS * (1.0 - glades))),
         leaf_density=float(np.exp(rng.uniform(np.log(0.15), np.log(1.2)))),
         relief_m=float(rng.uniform(0.1, 0.35)),
-        glades=float(rng.uniform(0.0, 0.6)),
+        glades=float(glades),
         bushes=float(rng.uniform(60.0, 300.0)),
         sun_elevation_deg=float(rng.uniform(22.0, 65.0)),
         sun_azimuth_deg=float(rng.uniform(0.0, 360.0)),
