@@ -42,13 +42,15 @@ def flight_settings(seed: int) -> SimulationSettings:
     """
     rng = np.random.default_rng([seed, 301])
     season = str(rng.choice(["summer", "fall", "snow"], p=[0.37, 0.37, 0.26]))
-    density, glades = rng.uniform(280.0, 620.0), rng.uniform(0.0, 0.6)
+    density = rng.uniform(280.0, 620.0)
+    leaves = np.exp(rng.uniform(np.log(0.15), np.log(1.2)))
+    relief, glades = rng.uniform(0.1, 0.35), rng.uniform(0.0, 0.6)
     forest = ForestSettings(
         season=season,
         seed=seed,
         density=float(min(density, _MOST_STEMS * (1.0 - glades))),
-        leaf_density=float(np.exp(rng.uniform(np.log(0.15), np.log(1.2)))),
-        relief_m=float(rng.uniform(0.1, 0.35)),
+        leaf_density=float(leaves),
+        relief_m=float(relief),
         glades=float(glades),
         bushes=float(rng.uniform(60.0, 300.0)),
         sun_elevation_deg=float(rng.uniform(22.0, 65.0)),
