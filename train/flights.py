@@ -9,6 +9,7 @@ people of every occlusion class.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from hsvaos.simulate.clothes import OUTFITS
 from hsvaos.simulate.forest import ForestSettings
 from hsvaos.simulate.mission import Mission
 from hsvaos.simulate.photo import CameraEffects
+from hsvaos.simulate.planting import stem_places
 from hsvaos.simulate.record import simulate_flight
 from hsvaos.simulate.settings import SimulationSettings
 from hsvaos.simulate.simulation import Simulation
@@ -30,8 +32,6 @@ _SEARCHED_FOR = 20
 _APART_M = 2.7
 _BUSH_SHARE = 0.2
 _THERMAL_SHARE = 0.14
-_MOST_STEMS = 560.0
-"""Stems a hectare that surely find room where there are no glades."""
 
 
 def flight_settings(seed: int) -> SimulationSettings:
@@ -48,7 +48,7 @@ def flight_settings(seed: int) -> SimulationSettings:
     forest = ForestSettings(
         season=season,
         seed=seed,
-        density=float(min(density, _MOST_STEMS * (1.0 - glades))),
+        density=float(density),
         leaf_density=float(leaves),
         relief_m=float(relief),
         glades=float(glades),
@@ -67,7 +67,7 @@ def flight_settings(seed: int) -> SimulationSettings:
     half = np.array(mission.half_m) + 3.0
     places = _places(rng, half)
     bush = rng.uniform(size=len(places)) < _BUSH_SHARE
-    return SimulationSettings(
+    drawn = SimulationSettings(
         forest=forest,
         mission=mission,
         camera=Camera.from_fov(size, size, float(rng.uniform(82.0, 92.0))),
@@ -84,6 +84,19 @@ def flight_settings(seed: int) -> SimulationSettings:
         thermal=bool(rng.uniform() < _THERMAL_SHARE),
         jpeg_quality=int(rng.integers(88, 98)),
     )
+    return _with_room(drawn)
+
+
+def _with_room(drawn: SimulationSettings) -> SimulationSettings:
+    """Thin the forest until its stems find room beside the glades."""
+    while True:
+        try:
+            stem_places(drawn.fitted().forest)
+        except ValueError:
+            forest = drawn.forest.replace(density=0.8 * drawn.forest.density)
+            drawn = replace(drawn, forest=forest)
+        else:
+            return drawn
 
 
 def search_settings(seed: int) -> SimulationSettings:
