@@ -42,6 +42,8 @@ class Frame:
         world_from_camera: Shape (4, 4), camera to world NED [m]; None until a filter estimates it.
         t_s: Time of exposure [s]; NaN where not logged.
         mask: Image file with the frame's own valid pixels (0 = ignore), or None.
+        covariance: Shape (6, 6), of the pose: north, east, down [m], then the rotation vector of
+            the attitude error about them [rad]; None where it is not known.
 
     Raises:
         FlightError: If the pose is not finite or holds no rotation.
@@ -52,6 +54,7 @@ class Frame:
     world_from_camera: NDArray[np.float64] | None
     t_s: float = float("nan")
     mask: Path | None = None
+    covariance: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         if self.world_from_camera is not None:
@@ -124,6 +127,12 @@ class Flight:
                 f"(first: {missing[0]})"
             )
         return np.array(poses, dtype=np.float64)
+
+    @property
+    def pose_covariances(self) -> NDArray[np.float64] | None:
+        """Shape (N, 6, 6), of the poses, see `Frame`; None unless every frame has one."""
+        known = [frame.covariance for frame in self.frames if frame.covariance is not None]
+        return np.array(known, dtype=np.float64) if len(known) == len(self) else None
 
     @property
     def centre_index(self) -> int:

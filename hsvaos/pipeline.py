@@ -68,7 +68,8 @@ def run(
     clock("focus")
     views, shown = choose_views(photos.flight, settings.view, surface)
     finder = make_finder(settings.detect, len(photos.flight))
-    renderer = Renderer(by, settings, surface, finder)
+    spreads = photos.flight.pose_covariances
+    renderer = Renderer(by, settings, surface, finder, pose_covariances=spreads)
     renderer = renderer.with_ground_for(photos.flight, [view for _, view in views])
     main, main_finds = renderer.render(*views[shown], extra=True)
     finds, detections = [], []

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hsvaos.camera import VirtualCamera
 from hsvaos.detect.detections import Detections
-from hsvaos.detect.locate import ViewFinds, box_places
+from hsvaos.detect.locate import ViewFinds, box_places, pose_spread
 from hsvaos.finding import Finder
 from hsvaos.flight import Flight, FlightError
 from hsvaos.ground_map import GroundMap, Layer, grid_for, integrate_ground
@@ -56,6 +56,7 @@ class Renderer:
         surface: The focal surface.
         finder: Looks for people in a view; None to look for nobody.
         ground: Integrated ground from which views are drawn; None to integrate every view.
+        pose_covariances: Shape (N, 6, 6), of the photos' poses; None where they are not known.
     """
 
     by: Integrators
@@ -63,6 +64,7 @@ class Renderer:
     surface: FocalSurface
     finder: Finder | None = None
     ground: GroundMap | None = None
+    pose_covariances: NDArray[np.float64] | None = None
 
     def with_ground_for(self, flight: Flight, views: Sequence[VirtualCamera]) -> Renderer:
         """Return a renderer that integrates the ground once, where that can stand for all views.
@@ -107,10 +109,14 @@ class Renderer:
         found = Detections.none()
         if self.finder is not None:
             found = self.finder(layers, sampling_distance(view, hits))
-        places = box_places(found, hits, view)
+        places, covariances = box_places(found, hits, view)
+        if self.pose_covariances is not None:
+            photos = self.by.plain
+            of_poses = (photos.camera, photos.world_from_camera, self.pose_covariances)
+            covariances = covariances + pose_spread(places, *of_poses)
         others = self._others(view) if extra else {}
         result = ViewResult(name, view, image, footprint, mean_weight[..., 0], rays, found, others)
-        return result, ViewFinds(view, found, *places)
+        return result, ViewFinds(view, found, places, covariances)
 
     def _needed(self) -> tuple[str, ...]:
         looked_at = self.finder.layers if self.finder is not None else ()

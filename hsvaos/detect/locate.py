@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hsvaos.camera import VirtualCamera
+from hsvaos.camera import Camera, VirtualCamera
 from hsvaos.detect.detections import Detections, Person
 from hsvaos.flight import Origin
 from hsvaos.geodesy import geodetic_from_ned
@@ -64,6 +64,39 @@ def box_places(
         if pose is not None and np.isfinite(places[k]).all():
             covariances[k] += _from_pose(places[k] - view.world_from_camera[:3, 3], pose)
     return places, covariances
+
+
+def pose_spread(
+    places: ArrayLike, camera: Camera, world_from_camera: ArrayLike, covariances: ArrayLike
+) -> Points:
+    """Return what errors of the photos' poses make of places that an integral image shows.
+
+    A place is where the mean of the rays of the photos that hold it puts it. Photos of one flight
+    err alike, so the covariance of that mean is the mean of theirs, however many they are.
+
+    Args:
+        places: Shape (K, 3), on the focal surface, world NED [m]; may be NaN.
+        camera: Of the photos.
+        world_from_camera: Shape (N, 4, 4), poses of the photos.
+        covariances: Shape (N, 6, 6), of the poses, see `flight.Frame`.
+
+    Returns:
+        Shape (K, 2, 2), north and east [m^2]; 0 for places that no photo holds.
+    """
+    points = np.asarray(places, dtype=np.float64).reshape(-1, 3)
+    poses = np.asarray(world_from_camera, dtype=np.float64)
+    spreads = np.asarray(covariances, dtype=np.float64)
+    found = np.zeros((len(points), 2, 2))
+    for k, place in enumerate(points):
+        if not np.isfinite(place).all():
+            continue
+        rays = place - poses[:, :3, 3]
+        pixels = camera.project(np.einsum("nji,nj->ni", poses[:, :3, :3], rays))
+        inside = ((pixels >= -0.5) & (pixels <= [camera.width - 0.5, camera.height - 0.5])).all(1)
+        holding = np.flatnonzero(inside & (rays[:, 2] > 0.0))
+        if holding.size:
+            found[k] = np.mean([_from_pose(rays[n], spreads[n]) for n in holding], axis=0)
+    return found
 
 
 def _even_spread(across: Points, along: Points) -> Points:

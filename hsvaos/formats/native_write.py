@@ -133,7 +133,7 @@ def _description(
     frames, world, nav = tables["frames"], tables["world"], tables["nav"]
     if flight.has_poses:
         posed = [
-            PosedName(name, frame.world_from_camera, frame.t_s)
+            PosedName(name, frame.world_from_camera, frame.t_s, covariance=frame.covariance)
             for name, frame in zip(names, flight.frames, strict=True)
         ]
         write_poses_csv(folder / "poses.csv", posed)

@@ -13,12 +13,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from hsvaos.camera import check_pose
 from hsvaos.flight import FlightError
-from hsvaos.formats.text import read_csv, read_json, read_text, write_csv
+from hsvaos.formats.text import CsvRow, read_csv, read_json, read_text, write_csv
 
 Array = NDArray[np.float64]
 
 POSE_COLUMNS = ("file", "t_s", "north_m", "east_m", "down_m", "qw", "qx", "qy", "qz")
 """The columns of poses.csv; std_* columns may follow."""
+
+STD_COLUMNS = (
+    *("std_north_m", "std_east_m", "std_down_m"),
+    *("std_turn_north_deg", "std_turn_east_deg", "std_turn_down_deg"),
+)
+"""Deviations of a pose: of its place, and of its attitude as rotations about the world's axes."""
 
 NED_FROM_JKU = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """JKU's world has x = east, y = south, z = down."""
@@ -36,12 +42,14 @@ class PosedName:
         world_from_camera: Shape (4, 4), camera to world NED [m]; None where it has no pose.
         t_s: Time of exposure [s]; NaN where not logged.
         problem: Why the pose cannot be used, or None.
+        covariance: See `flight.Frame`.
     """
 
     name: str
     world_from_camera: Array | None
     t_s: float = math.nan
     problem: str | None = None
+    covariance: Array | None = None
 
 
 def rotation_from_quaternion(quaternion: ArrayLike) -> Array:
@@ -135,10 +143,22 @@ def read_poses_csv(path: Path) -> list[PosedName]:
             pose = np.eye(4)
             pose[:3, 3] = numbers[:3]
             pose[:3, :3] = rotation_from_quaternion(numbers[3:])
-            poses.append(PosedName(name, check_pose(pose, "pose"), t_s))
+            spread = _spread(row)
+            poses.append(PosedName(name, check_pose(pose, "pose"), t_s, covariance=spread))
         except ValueError as error:
             poses.append(PosedName(name, None, t_s, f"{path}: line {row.line}: {name}: {error}"))
     return poses
+
+
+def _spread(row: CsvRow) -> Array | None:
+    """Return the covariance that the std_* columns of a line give; None without or if empty."""
+    if not all(row.has(column) for column in STD_COLUMNS):
+        return None
+    std = np.array([row.number(column) for column in STD_COLUMNS])
+    if not (np.isfinite(std) & (std >= 0.0)).all():
+        raise ValueError(f"expected std_* columns of at least 0, got {std.min():g}")
+    std[3:] = np.radians(std[3:])
+    return np.diag(std * std)
 
 
 def _hint(header: Sequence[str]) -> str:
@@ -196,12 +216,13 @@ def _pose_from_m3x4(rows: Any) -> Array:
 
 
 def write_poses_csv(path: Path, poses: Sequence[PosedName]) -> None:
-    """Write poses.csv, with every digit a float64 has.
+    """Write poses.csv, with every digit a float64 has; deviations where all poses have them.
 
     Raises:
         ValueError: If one of them has no pose.
     """
-    rows: list[Sequence[str]] = [POSE_COLUMNS]
+    known = all(posed.covariance is not None for posed in poses)
+    rows: list[Sequence[str]] = [(*POSE_COLUMNS, *(STD_COLUMNS if known else ()))]
     for posed in poses:
         if posed.world_from_camera is None:
             raise ValueError(f"{posed.name} has no pose to write")
@@ -209,5 +230,8 @@ def write_poses_csv(path: Path, poses: Sequence[PosedName]) -> None:
         quaternion = quaternion_from_rotation(posed.world_from_camera[:3, :3])
         time = "" if math.isnan(posed.t_s) else repr(float(posed.t_s))
         numbers = [repr(float(value)) for value in (*place, *quaternion)]
+        if known and posed.covariance is not None:
+            std = np.sqrt(np.maximum(np.diagonal(posed.covariance), 0.0))
+            numbers += [f"{value:.6g}" for value in (*std[:3], *np.degrees(std[3:]))]
         rows.append([posed.name, time, *numbers])
     write_csv(path, rows)

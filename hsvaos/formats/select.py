@@ -154,6 +154,7 @@ def select_frames(
             entry.world_from_camera,
             entry.t_s,
             (masks or {}).get(Path(entry.name).stem.lower()),
+            entry.covariance,
         )
         for entry in entries
         if entry.name in kept

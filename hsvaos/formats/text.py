@@ -84,6 +84,10 @@ class CsvRow:
             raise FlightError(f"{self.path}: line {self.line}: column {column!r} is empty")
         return value
 
+    def has(self, column: str) -> bool:
+        """Whether the line says anything in a column, which the file need not have."""
+        return bool(self.values.get(column))
+
     def number(self, column: str) -> float:
         """Return the number in a column; NaN where the file says NaN.
 

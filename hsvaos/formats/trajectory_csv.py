@@ -11,13 +11,13 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hsvaos.formats.poses import PosedName, write_poses_csv
 from hsvaos.nav import attitude
 from hsvaos.nav.trajectory import Trajectory
 
@@ -27,10 +27,6 @@ TRAJECTORY_COLUMNS = (
     "t_s,north_m,east_m,down_m,vn_m_s,ve_m_s,vd_m_s,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,"
     "std_north_m,std_east_m,std_down_m,std_vn_m_s,std_ve_m_s,std_vd_m_s,"
     "std_roll_deg,std_pitch_deg,std_yaw_deg"
-)
-POSE_COLUMNS = (
-    "file,t_s,north_m,east_m,down_m,qw,qx,qy,qz,std_north_m,std_east_m,std_down_m,"
-    "std_turn_north_deg,std_turn_east_deg,std_turn_down_deg"
 )
 
 
@@ -89,14 +85,7 @@ def write_poses(path: Path, trajectory: Trajectory, files: Sequence[str], t_s: A
     """
     times = np.asarray(t_s, dtype=np.float64)
     pose = trajectory.world_from_camera(times)
-    q = attitude.from_matrix(pose[:, :3, :3])
-    C = trajectory.camera_covariance(times)
-    std = np.sqrt(np.maximum(np.diagonal(C, axis1=1, axis2=2), 0.0))
-    std[:, 3:] = np.degrees(std[:, 3:])
+    spread = trajectory.camera_covariance(times)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(POSE_COLUMNS.split(","))
-        for name, t, place, turn, spread in zip(files, times, pose[:, :3, 3], q, std, strict=True):
-            numbers = [f"{t:.6f}", *(f"{v:.4f}" for v in place), *(f"{v:.9f}" for v in turn)]
-            writer.writerow([name, *numbers, *(f"{v:.5f}" for v in spread)])
+    rows = zip(files, pose, times.tolist(), spread, strict=True)
+    write_poses_csv(path, [PosedName(n, p, t, covariance=c) for n, p, t, c in rows])

@@ -51,9 +51,10 @@ def poses_at_photos(
     inside = _refuse_strangers(flight, times, trajectory.span)
     index = np.flatnonzero(inside)
     poses = trajectory.world_from_camera(times[index])
+    covariances = trajectory.camera_covariance(times[index])
     frames = tuple(
-        replace(flight.frames[i], world_from_camera=pose, t_s=float(times[i]))
-        for i, pose in zip(index, poses, strict=True)
+        replace(flight.frames[i], world_from_camera=pose, t_s=float(times[i]), covariance=spread)
+        for i, pose, spread in zip(index, poses, covariances, strict=True)
     )
     if len(index) < len(times):
         notes.append(

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from hsvaos import Camera, Detections, FocalPlane, Origin, VirtualCamera
 from hsvaos.detect.anomaly import find_persons, local_z
-from hsvaos.detect.locate import ViewFinds, box_places, merge_views
+from hsvaos.detect.locate import ViewFinds, box_places, merge_views, pose_spread
 from hsvaos.kernels.rays import focal_points
 from hsvaos.settings import DetectSettings
 
@@ -158,6 +158,25 @@ def test_pose_covariance_reaches_the_ground(seed: int) -> None:
         places.append((origin - direction * origin[2] / direction[2])[:2])
     expected = np.cov(np.array(places).T)
     np.testing.assert_allclose(got, expected, atol=0.12 * np.trace(expected))
+
+
+def test_errors_shared_by_all_photos_are_not_averaged_away() -> None:
+    camera = Camera.from_fov(201, 201, 90.0)
+    pose = looking_down(1.0, 2.0)
+    poses = np.stack([pose] * 7)
+    poses[3:, 0, 3] += 500.0  # these do not hold the place
+    covariance = np.diag([0.3, 0.2, 0.4, 0.01, 0.02, 0.015]) ** 2
+    covariances = np.stack([covariance] * 3 + [100.0 * np.eye(6)] * 4)
+    place = np.array([2.5, 1.0, 0.0])
+    got = pose_spread([place, [np.nan] * 3, [9e3, 0.0, 0.0]], camera, poses, covariances)
+    view = VirtualCamera(camera, pose)
+    hits = focal_points(view, FocalPlane(0.0)).numpy().reshape(201, 201, 4)
+    column, row = view.project(place).round().astype(int)
+    found = detections((column, row, column, row), scores=[1.0])
+    _, (alone,) = box_places(found, hits, view, covariance)
+    np.testing.assert_allclose(got[0], alone, rtol=0.05, atol=1e-3)
+    assert got[0, 0, 0] > 0.09
+    assert (got[1:] == 0.0).all()
 
 
 def rotation(vector: np.ndarray) -> np.ndarray:

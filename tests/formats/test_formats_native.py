@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -184,6 +185,23 @@ def test_poses_mask_and_ground_by_the_caller(folder, tmp_path):
     assert [f.name for f in flight.frames] == ["001.png"]
     assert flight.poses[0, 2, 3] == -31.0
     assert (flight.ground_down_m, flight.mask) == (1.5, mask)
+
+
+def test_deviations_of_poses_are_kept(tmp_path):
+    std = np.array([0.4, 0.3, 0.2, *np.radians([0.1, 0.2, 0.6])])
+    flight = flight_of([pose_of(place=(i, 2.0, -30.0)) for i in range(3)])
+    frames = [replace(frame, covariance=np.diag(std**2)) for frame in flight.frames]
+    folder = write_native(flight.replace(frames=frames), tmp_path / "sure", images=[NOISE] * 3)
+    read = hsvaos.open_flight(folder).pose_covariances
+    np.testing.assert_allclose(read, [np.diag(std**2)] * 3, rtol=1e-5)
+    assert flight.pose_covariances is None
+    # one photo without: nothing is known of their mean, and the file has no such columns
+    frames = [frames[0], replace(frames[1], covariance=None), frames[2]]
+    other = write_native(flight.replace(frames=frames), tmp_path / "partly", images=[NOISE] * 3)
+    assert "std_north_m" not in (other / "poses.csv").read_text()
+    edit(folder, "poses.csv", ",0.4,", ",-0.4,")
+    with pytest.raises(FlightError, match=r"expected std_\* columns of at least 0, got -0.4"):
+        hsvaos.open_flight(folder)
 
 
 BAD_FILES = {
