@@ -57,13 +57,29 @@ def draw_figures(
         deviation = float(np.nanmean(np.nanstd(part, axis=(0, 1))))
         if not deviation > 0.0:
             continue
-        strength = deviation * np.exp(rng.uniform(np.log(2.0), np.log(12.0)))
+        strength = deviation * np.exp(rng.uniform(np.log(3.0), np.log(14.0)))
         part += strength * hidden[..., None] * _direction(image.shape[2], rng)
         if person:
             rows, columns = np.nonzero(shape > 0.4)
             corners = [columns.min(), rows.min(), columns.max(), rows.max()]
             found.append(np.array(corners, dtype=np.float64) + [x - half, y - half] * 2)
     return np.array(found).reshape(-1, 4)
+
+
+def smooth_ground(image: Plane, rng: np.random.Generator) -> Plane:
+    """Return an image as many leaves out of focus leave it: blurred, and streaked by the flight.
+
+    Args:
+        image: Shape (H, W, C), float32; NaN counts as the mean.
+        rng: Draws how much.
+    """
+    flat = np.where(np.isfinite(image), image, np.float32(np.nanmean(image)))
+    sigma = float(rng.uniform(1.5, 6.0))
+    streak = sigma * float(rng.uniform(1.0, 3.0))
+    way = (sigma, streak) if rng.uniform() < 0.5 else (streak, sigma)
+    smooth = cv2.GaussianBlur(flat, (0, 0), way[0], sigmaY=way[1]).reshape(image.shape)
+    kept = np.float32(rng.uniform(0.0, 0.15))
+    return np.asarray(smooth + kept * (flat - smooth), dtype=np.float32)
 
 
 def _direction(channels: int, rng: np.random.Generator) -> Plane:
@@ -76,7 +92,8 @@ def _direction(channels: int, rng: np.random.Generator) -> Plane:
 
 def _shrunk(canvas: NDArray[np.uint8], side: int, rng: np.random.Generator) -> Plane:
     small = cv2.resize(canvas, (side, side), interpolation=cv2.INTER_AREA).astype(np.float32)
-    return cv2.GaussianBlur(small / 255.0, (0, 0), float(rng.uniform(0.4, 1.4))).astype(np.float32)
+    sigma = float(np.exp(rng.uniform(np.log(0.4), np.log(2.2))))
+    return cv2.GaussianBlur(small / 255.0, (0, 0), sigma).astype(np.float32)
 
 
 def _figure(side: int, pixel_m: float, rng: np.random.Generator) -> Plane:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hsvaos.detect.network_input import CHANNELS, TRAINED_GSD_M, network_input
-from train.drawn import draw_figures
+from train.drawn import draw_figures, smooth_ground
 from train.maps import COHERENCE, COHERENT, HUE_FOOTPRINT, PLANES, RARITY_MAP, RAYS
 
 CROP_PX = 256
@@ -55,9 +55,9 @@ def visit(path: Path, rng: np.random.Generator, crops: int) -> list[Sample]:
         colour = bool(data["colour"])
     layers, boxes, gsd = _scaled(layers, boxes, gsd, rng)
     layers, boxes = _turned(layers, boxes, rng)
-    whole, drawn = _look(layers, boxes, gsd, colour, rng)
+    whole, drawn, blurred = _look(layers, boxes, gsd, colour, rng)
     boxes = np.concatenate([boxes, drawn])
-    rays = np.concatenate([rays, np.full(len(drawn), np.inf)])
+    rays = np.concatenate([np.zeros_like(rays) if blurred else rays, np.full(len(drawn), np.inf)])
     height, width = whole.shape[1:]
     middle = 0.5 * (boxes[:, :2] + boxes[:, 2:])
     seen = _seen_at(layers[RAYS], middle)
@@ -120,17 +120,20 @@ def _look(
     gsd: float,
     colour: bool,
     rng: np.random.Generator,
-) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """Return the network's input for what a user may have, and boxes of people drawn into it."""
-    if rng.uniform() < (0.3 if colour else 0.6):
+) -> tuple[NDArray[np.float32], NDArray[np.float64], bool]:
+    """Return the input for what a user may have, people drawn in, and whether others blurred.
+
+    Others are those who lie in the map: blurred away they are not taught.
+    """
+    if rng.uniform() < (0.25 if colour else 0.65):
         return _alone(layers, boxes, gsd, colour, rng)
-    kind = str(rng.choice(_KINDS, p=[0.6, 0.2, 0.2]))
+    kind = str(rng.choice(_KINDS, p=[0.64, 0.18, 0.18]))
     image = _image(layers, kind)
     rays = layers[RAYS]
     if kind == "hue" and rng.uniform() < 0.3:
         rays = layers[HUE_FOOTPRINT]
     known = rng.uniform(size=4) < [0.9, 0.9, 0.85, 0.6]
-    if kind == "rarity" and rng.uniform() < 0.7:
+    if kind == "rarity" and rng.uniform() < 0.75:
         known[:] = True  # as `hsvaos run` gives it
     whole = network_input(
         image,
@@ -139,7 +142,7 @@ def _look(
         _image(layers, "plain") if known[2] else None,
         (np.moveaxis(layers[COHERENT], 0, 2), layers[COHERENCE]) if known[3] else None,
     )
-    return _jittered(whole, rng), np.zeros((0, 4))
+    return _jittered(whole, rng), np.zeros((0, 4)), False
 
 
 def _image(layers: NDArray[np.float32], kind: str) -> NDArray[np.float32]:
@@ -155,8 +158,8 @@ def _alone(
     gsd: float,
     colour: bool,
     rng: np.random.Generator,
-) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """Return the input for an image of which nothing else is known, and who was drawn into it."""
+) -> tuple[NDArray[np.float32], NDArray[np.float64], bool]:
+    """Return the same for an image of which nothing else is known."""
     image = _image(layers, str(rng.choice(_KINDS, p=[0.4, 0.3, 0.3]))).copy()
     if not colour or rng.uniform() < 0.4:
         grey = image @ rng.dirichlet(np.ones(3)).astype(np.float32)
@@ -165,8 +168,11 @@ def _alone(
         image = np.repeat(grey[..., None], 3, axis=2)
     elif rng.uniform() < 0.5:
         image = image[..., rng.permutation(3)]
-    drawn = np.zeros((0, 4))
+    drawn, smooth = np.zeros((0, 4)), False
     if rng.uniform() < 0.6:
+        smooth = rng.uniform() < 0.4
+        if smooth:
+            image = smooth_ground(image, rng)
         if not colour or rng.uniform() < 0.4:
             grey = np.ascontiguousarray(image[..., :1])
             drawn = draw_figures(grey, boxes, gsd, _DRAWN, rng)
@@ -180,7 +186,7 @@ def _alone(
     if rng.uniform() < 0.3:
         image = 255.0 * np.power(np.clip(image / 255.0, 0.0, 1.0), rng.uniform(0.6, 1.6))
     image[layers[RAYS] <= 0.0] = np.nan if rng.uniform() < 0.5 else 0.0
-    return _jittered(network_input(image), rng), drawn
+    return _jittered(network_input(image), rng), drawn, smooth
 
 
 def _jittered(whole: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
