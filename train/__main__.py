@@ -16,7 +16,7 @@ import numpy as np
 
 from hsvaos.kernels.device import quiet_start
 from train.flights import FIRST_TRAINING_SEED, FIRST_TUNING_SEED, make_flight
-from train.maps import CONDITIONS, make_maps
+from train.maps import CONDITIONS, SEARCH_CONDITIONS, make_maps
 
 
 def _prepare(job: tuple[int, Path, Path]) -> str:
@@ -24,9 +24,10 @@ def _prepare(job: tuple[int, Path, Path]) -> str:
     began = time.monotonic()
     quiet_start()
     flight = make_flight(seed, flights)
-    done = [maps / f"{flight.name}_{k}.npz" for k in range(CONDITIONS)]
+    count = SEARCH_CONDITIONS if seed >= FIRST_TUNING_SEED else CONDITIONS
+    done = [maps / f"{flight.name}_{k}.npz" for k in range(count)]
     if not all(path.exists() for path in done):
-        make_maps(flight, maps)
+        make_maps(flight, maps, count)
     return f"{flight.name}: {time.monotonic() - began:.0f} s"
 
 
@@ -43,7 +44,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m train", description=__doc__)
     parser.add_argument("work", type=Path, help="folder for everything; some 12 GB")
     parser.add_argument("--flights", type=int, default=60)
-    parser.add_argument("--tuning", type=int, default=5)
+    parser.add_argument("--tuning", type=int, default=4)
     parser.add_argument("--steps", type=int, default=2600)
     parser.add_argument("--workers", type=int, default=2)
     asked = parser.parse_args()

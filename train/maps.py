@@ -35,7 +35,10 @@ COHERENT, COHERENCE = slice(12, 15), 15
 LAYERS = 16
 
 CONDITIONS = 4
-"""Maps of each flight."""
+"""Maps of each training flight."""
+
+SEARCH_CONDITIONS = 2
+"""Maps of each tuning flight: with the poses of a search, true or as a filter leaves them."""
 
 _BORDER_M = 5.0
 _LEFT_OUT = 0.75
@@ -118,12 +121,13 @@ def disturbed(
     return changed
 
 
-def make_maps(folder: Path, target: Path) -> None:
+def make_maps(folder: Path, target: Path, count: int = CONDITIONS) -> None:
     """Integrate a flight in all conditions and write one .npz a condition.
 
     Args:
         folder: The flight.
         target: Where the maps go: `NAME_0.npz`, ...
+        count: How many of the conditions.
     """
     flight = hsvaos.open_flight(folder)
     truth = json.loads((folder / "truth.json").read_text())
@@ -139,7 +143,7 @@ def make_maps(folder: Path, target: Path) -> None:
     counts = np.array(truth["pixels"]["by_photo"], dtype=np.float64)
     shares = np.where(counts[..., 1] >= 12, counts[..., 0] / np.maximum(counts[..., 1], 1.0), 0.0)
     boxes = np.array([_box(view, outline) for outline in people])
-    for number, condition in enumerate(conditions(rng)):
+    for number, condition in enumerate(conditions(rng)[:count]):
         path = target / f"{folder.name}_{number}.npz"
         chosen = np.arange(len(flight.poses))
         if condition.share < 1.0:
