@@ -24,10 +24,11 @@ def _prepare(job: tuple[int, Path, Path]) -> str:
     began = time.monotonic()
     quiet_start()
     flight = make_flight(seed, flights)
-    count = SEARCH_CONDITIONS if seed >= FIRST_TUNING_SEED else CONDITIONS
+    search = seed >= FIRST_TUNING_SEED
+    count = SEARCH_CONDITIONS if search else CONDITIONS
     done = [maps / f"{flight.name}_{k}.npz" for k in range(count)]
     if not all(path.exists() for path in done):
-        make_maps(flight, maps, count)
+        make_maps(flight, maps, search=search)
     return f"{flight.name}: {time.monotonic() - began:.0f} s"
 
 

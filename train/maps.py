@@ -121,13 +121,13 @@ def disturbed(
     return changed
 
 
-def make_maps(folder: Path, target: Path, count: int = CONDITIONS) -> None:
+def make_maps(folder: Path, target: Path, *, search: bool = False) -> None:
     """Integrate a flight in all conditions and write one .npz a condition.
 
     Args:
         folder: The flight.
         target: Where the maps go: `NAME_0.npz`, ...
-        count: How many of the conditions.
+        search: Whether the flight is a search: fewer conditions, and rarity as it is.
     """
     flight = hsvaos.open_flight(folder)
     truth = json.loads((folder / "truth.json").read_text())
@@ -135,7 +135,8 @@ def make_maps(folder: Path, target: Path, count: int = CONDITIONS) -> None:
     rng = np.random.default_rng([seed, 302])
     photos = load_photos(flight, 1.0, "cpu", None)
     people = [np.array(person["outline_ned_m"]) for person in truth["people"]]
-    ours, papers = _integrators(photos, rng, people)
+    left_out = [] if search else [p for p in people if rng.uniform() < _LEFT_OUT]
+    ours, papers = _integrators(photos, left_out)
     reach = np.abs(flight.poses[:, :2, 3]).max(axis=0) + _BORDER_M
     gsd = float(np.median(-flight.poses[:, 2, 3])) / flight.camera.fx
     width, height = (int(2.0 * side / gsd) for side in reach[::-1])
@@ -143,7 +144,7 @@ def make_maps(folder: Path, target: Path, count: int = CONDITIONS) -> None:
     counts = np.array(truth["pixels"]["by_photo"], dtype=np.float64)
     shares = np.where(counts[..., 1] >= 12, counts[..., 0] / np.maximum(counts[..., 1], 1.0), 0.0)
     boxes = np.array([_box(view, outline) for outline in people])
-    for number, condition in enumerate(conditions(rng)[:count]):
+    for number, condition in enumerate(conditions(rng)[: SEARCH_CONDITIONS if search else None]):
         path = target / f"{folder.name}_{number}.npz"
         chosen = np.arange(len(flight.poses))
         if condition.share < 1.0:
@@ -170,11 +171,12 @@ def _box(view: VirtualCamera, outline: NDArray[np.float64]) -> NDArray[np.float6
 
 
 def _integrators(
-    photos: Photos, rng: np.random.Generator, people: list[NDArray[np.float64]]
+    photos: Photos, left_out: list[NDArray[np.float64]]
 ) -> tuple[Integrators, Integrators]:
     """Return integrators with our hue cut and with the paper's, the same else."""
     masks = make_masks(photos, Settings())
-    masks = replace(masks, rarity=_rarity_of_few(photos, masks, rng, people))
+    if left_out:
+        masks = replace(masks, rarity=_rarity_without(photos, masks, left_out))
     ours = make_integrators(photos, masks, "rarity")
     if not photos.is_colour:
         return ours, ours
@@ -185,16 +187,15 @@ def _integrators(
     return ours, replace(ours, hue=hue_integrator(photos, *cut, gains))
 
 
-def _rarity_of_few(
-    photos: Photos, masks: Masks, rng: np.random.Generator, people: list[NDArray[np.float64]]
+def _rarity_without(
+    photos: Photos, masks: Masks, left_out: list[NDArray[np.float64]]
 ) -> NDArray[np.float32]:
-    """Return rarity weights by a histogram that most people are kept out of.
+    """Return rarity weights by a histogram that some people's outlines are kept out of.
 
     Training flights are short and crowded: counted whole, clothes would be as common as flowers. In
     a search there are few people on much more ground.
     """
     flight = photos.flight
-    left_out = [outline for outline in people if rng.uniform() < _LEFT_OUT]
     valid = np.full((len(flight.poses), *photos.images.shape[1:3]), 255, dtype=np.uint8)
     for pose, mask in zip(flight.poses, valid, strict=True):
         for outline in left_out:
