@@ -187,9 +187,7 @@ def _integrators(
     return ours, replace(ours, hue=hue_integrator(photos, *cut, gains))
 
 
-def _rarity_without(
-    photos: Photos, masks: Masks, left_out: list[NDArray[np.float64]]
-) -> NDArray[np.float32]:
+def _rarity_without(photos: Photos, masks: Masks, left_out: list[NDArray[np.float64]]) -> Any:
     """Return rarity weights by a histogram that some people's outlines are kept out of.
 
     Training flights are short and crowded: counted whole, clothes would be as common as flowers. In
@@ -202,17 +200,16 @@ def _rarity_without(
             pixels = flight.camera.project((outline - pose[:3, 3]) @ pose[:3, :3])
             if np.isfinite(pixels).all():
                 cv2.fillConvexPoly(mask, np.rint(pixels).astype(np.int32), 0)
-    mask = Settings().mask
+    rule = Settings().mask
     model = rarity_model(
         photos.images,
-        threshold=mask.rarity_threshold if photos.is_colour else mask.grey_rarity_threshold,
-        exponent=mask.rarity_exponent,
-        smoothing_bins=mask.rarity_smoothing_bins,
+        threshold=rule.rarity_threshold if photos.is_colour else rule.grey_rarity_threshold,
+        exponent=rule.rarity_exponent,
+        smoothing_bins=rule.rarity_smoothing_bins,
         valid=valid,
         gains=masks.gains,
     )
-    weights = apply_rarity(photos.images, model, dtype="float32", gains=masks.gains)
-    return weights
+    return apply_rarity(photos.images, model, dtype="float32", gains=masks.gains)
 
 
 def _layers(
