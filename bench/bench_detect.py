@@ -12,6 +12,7 @@ from bench.data import photos
 from bench.harness import SMOKE, Contenders, size
 from hsvaos import Detector
 from hsvaos.detect.anomaly import find_persons
+from hsvaos.detect.layouts import own_channels
 from hsvaos.detect.network import Network
 from hsvaos.detect.network_input import network_input
 from hsvaos.detect.yolo import PACKAGED
@@ -32,8 +33,8 @@ def one_view(side: int) -> Callable[[], Contenders]:
     def contenders() -> Contenders:
         images, rays, rarity = (part[0] for part in layers(1, size(side)))
         detector = Detector(provider="cpu")
-        planes = network_input(images, rays, rarity)[None]
         alone = Network(PACKAGED, "cpu")
+        planes = network_input(images, rays, rarity)[None, list(own_channels(alone))]
         network = cv2.dnn.readNetFromONNX(str(PACKAGED))
 
         def opencv() -> None:

@@ -43,7 +43,7 @@ WANTED = {
     ("snow", "true"): 0.95,
 }
 ABLATION = (
-    "hsvaos", "all but rays", "all but rarity map", "rarity image", "rarity x hue image",
+    "hsvaos", "all but coherence", "all but rays", "all but rarity map", "rarity image", "rarity x hue image",
     "HSV-AOS", "hue, not brightened", "AOS", "peaks of rarity", "peaks of RX",
 )  # fmt: skip
 
