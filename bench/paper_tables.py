@@ -43,8 +43,8 @@ WANTED = {
     ("snow", "true"): 0.95,
 }
 ABLATION = (
-    "hsvaos", "all but coherence", "all but rays", "all but rarity map", "rarity image", "rarity x hue image",
-    "HSV-AOS", "hue, not brightened", "AOS", "peaks of rarity", "peaks of RX",
+    "hsvaos", "all but coherence", "all but rays", "all but rarity map", "rarity image",
+    "rarity x hue image", "HSV-AOS", "hue, not brightened", "AOS", "peaks of rarity", "peaks of RX",
 )  # fmt: skip
 
 
