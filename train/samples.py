@@ -14,7 +14,7 @@ from train.drawn import draw_figures, smooth_ground
 from train.maps import COHERENCE, COHERENT, HUE_FOOTPRINT, PLANES, RARITY_MAP, RAYS
 
 CROP_PX = 256
-LEAST_RAYS = 1.0
+LEAST_RAYS = 1.5
 """People with fewer unoccluded rays a point are neither wanted nor forbidden."""
 
 LEAST_RAYS_SEEN = 3.0
