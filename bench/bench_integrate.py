@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from bench.data import lawnmower, masks, photos
 from bench.harness import Contenders, size
 from bench.peers import PEERS, opencv, plane_homography, premultiply
 from hsvaos import FocalPlane, Integrator, reference
+from hsvaos.benchmark.scenes import lawnmower, masks, photos
 
 FRAMES = 12
 FLIGHT = 117

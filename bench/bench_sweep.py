@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from bench.data import lawnmower, masks, photos
 from bench.harness import Contenders, size
 from bench.peers import opencv, plane_homography, premultiply
 from hsvaos import FocalPlane, Integrator, focus_measure, reference
+from hsvaos.benchmark.scenes import lawnmower, masks, photos
 
 FRAMES, PLANES = 6, 4
 
