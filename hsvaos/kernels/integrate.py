@@ -26,8 +26,8 @@ from hsvaos.kernels.arrays import (
 from hsvaos.kernels.coherence import gather_coherence
 from hsvaos.kernels.gather import gather
 from hsvaos.kernels.packing import Packed, pack
-from hsvaos.kernels.rays import focal_points
-from hsvaos.kernels.tiles import gather_tiles
+from hsvaos.kernels.rays import focal_points, plane_map
+from hsvaos.kernels.tiles import TilePhotos, gather_planes, gather_tiles
 from hsvaos.surface import FocalPlane, FocalSurface, FocalTerrain
 
 wp.set_module_options({"enable_backward": False})
@@ -185,8 +185,7 @@ class Integrator:
             TypeError: If surface is no focal surface.
         """
         order, reach, image, footprint = self._target(view, surface, aperture_m, frames, out)
-        points = focal_points(view, surface, device=self.device)
-        self._gather(view, order, reach, points, image, footprint)
+        self._gather(view, [surface], order, reach, image, footprint)
         if out is not None:
             return out
         return like_input(image, self._like), like_input(footprint, self._like)
@@ -224,10 +223,8 @@ class Integrator:
         channels = self._stack.channels
         stack = output_array(given[0], (*shape, channels), wp.float32, self.device, "out[0]")
         footprint = output_array(given[1], shape, wp.float32, self.device, "out[1]")
-        points = None
-        for i, down in enumerate(downs):  # launches only: nothing here waits for the device
-            points = focal_points(view, FocalPlane(float(down)), out=points, device=self.device)
-            self._gather(view, order, reach, points, stack[i], footprint[i])
+        surfaces = [FocalPlane(float(down)) for down in downs]
+        self._gather(view, surfaces, order, reach, stack, footprint)
         if out is not None:
             return out
         return like_input(stack, self._like), like_input(footprint, self._like)
@@ -303,19 +300,35 @@ class Integrator:
     def _gather(
         self,
         view: VirtualCamera,
+        surfaces: Sequence[FocalSurface],
         order: NDArray[np.int32],
         reach: float,
-        points: Any,
-        image: Any,
+        stack: Any,
         footprint: Any,
     ) -> None:
-        photos = self._photos()
-        where = (self._poses_from(view), self._gains, order, reach, points)
-        if photos is None:
-            weights = (self._weights, self._weight_unit)
-            gather(self.camera, self._stack, *weights, *where, image, footprint)
-        else:
-            gather_tiles(self.camera, photos, *where, view.size, image, footprint)
+        """Integrate over surfaces, one a picture of the stack; launches only, nothing waits."""
+        packed = self._photos()
+        poses = self._poses_from(view)
+        pictures = stack.reshape((len(surfaces), view.height, view.width, self.channels))
+        covers = footprint.reshape((len(surfaces), view.height, view.width))
+        if packed is not None:
+            photos = TilePhotos(self.camera, packed, poses, self._gains, order)
+            planes = [surface for surface in surfaces if isinstance(surface, FocalPlane)]
+            straight = view.camera is None or not view.camera.has_distortion
+            if straight and reach == _NO_LIMIT and len(planes) == len(surfaces):
+                maps = [plane_map(view, plane) for plane in planes]
+                gather_planes(photos, maps, view.size, pictures, covers)
+                return
+        points = None
+        for i, surface in enumerate(surfaces):
+            picture, cover = pictures[i], covers[i]
+            points = focal_points(view, surface, out=points, device=self.device)
+            if packed is not None:
+                gather_tiles(photos, reach, points, view.size, picture, cover)
+            else:
+                weights = (self._weights, self._weight_unit)
+                where = (poses, self._gains, order, reach, points)
+                gather(self.camera, self._stack, *weights, *where, picture, cover)
 
     def _photos(self) -> Packed | None:
         """The photos packed for the CPU, once; None where the plain gather has to do."""
