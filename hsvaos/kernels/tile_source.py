@@ -28,7 +28,6 @@ _TILE = Template("""{
     $points
     alignas(64) int places[2 * SIZE];
     $declare
-    for (int i = 0; i < SIZE; ++i) { $clear }
 
     for (int start = 0; seen > 0 && start < count; start += CHUNK) {
         const int some = count - start < CHUNK ? count - start : CHUNK;
@@ -99,7 +98,7 @@ _TILE = Template("""{
             const size_t pixel = first + (size_t)(top + y) * width + left + x;
             const float weight = $weight;
             const float scale = job.white / (weight > 0.0f ? weight : 1.0f);
-            job.footprint.data[pixel] = weight * job.weight_unit;
+            job.footprint.data[pixel] = weight * $unit * job.weight_unit;
             $store
         }
     }
@@ -326,7 +325,6 @@ def tile_source(form: Form, way: Way) -> str:
     return _TILE.substitute(
         word=form.word,
         declare=form.declare,
-        clear=form.clear,
         gains=gains,
         points=way.points,
         cull=way.cull,
@@ -337,5 +335,6 @@ def tile_source(form: Form, way: Way) -> str:
         place=_PLACE + form.place,
         mix=form.mix,
         weight=form.sums[-1],
+        unit=form.unit,
         store=store,
     )

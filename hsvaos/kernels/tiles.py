@@ -173,7 +173,7 @@ def _tile_job(photos: TilePhotos, size: tuple[int, int], image: Any, footprint: 
     job.distorted = int(camera.has_distortion)
     job.right, job.bottom = camera.width - 0.5, camera.height - 0.5
     job.row_stride, job.frame_stride = packed.row, packed.frame
-    job.weight_unit, job.white = packed.weight_unit * FORMS[packed.form].unit, packed.white
+    job.weight_unit, job.white = packed.weight_unit, packed.white
     job.words = packed.words
     job.image = pixel_view(image, wp.float32, (image.size,))
     job.footprint = pixel_view(footprint, wp.float32, (footprint.size,))
