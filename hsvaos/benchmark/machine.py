@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hsvaos.kernels.device import threads
+from hsvaos.kernels.device import free_memory, threads
 from hsvaos.summary import installed_versions
 
 _GIB = 1024.0**3
@@ -52,7 +52,7 @@ def detect_machine(device: Any) -> Machine:
         cpu=_processor(),
         cores=os.cpu_count() or 1,
         threads=threads(),
-        memory_gib=round(_meminfo("MemTotal") / _GIB, 1),
+        memory_gib=round(_memory() / _GIB, 1),
         device=str(device.alias),
         gpu=str(device.name) if device.is_cuda else "",
         gpu_memory_gib=round(device.total_memory / _GIB, 1) if device.is_cuda else 0.0,
@@ -69,7 +69,8 @@ def available_memory(device: Any) -> float:
     """
     if device.is_cuda:
         return float(device.free_memory)
-    return _meminfo("MemAvailable") or float("inf")
+    free = free_memory()
+    return float("inf") if free is None else float(free)
 
 
 def _processor() -> str:
@@ -89,13 +90,9 @@ def _processor() -> str:
         return platform.processor() or sys.platform
 
 
-def _meminfo(key: str) -> float:
+def _memory() -> float:
+    """Main memory [bytes]; 0 where the system does not tell."""
     try:
-        lines = Path("/proc/meminfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
+        return float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):  # not a POSIX system
         return 0.0
-    for line in lines:
-        name, _, value = line.partition(":")
-        if name == key:
-            return 1024.0 * float(value.split()[0])
-    return 0.0

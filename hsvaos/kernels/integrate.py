@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
+from dataclasses import replace
 from threading import Lock
 from typing import Any
 
@@ -24,8 +25,9 @@ from hsvaos.kernels.arrays import (
     to_array,
 )
 from hsvaos.kernels.coherence import gather_coherence
+from hsvaos.kernels.device import free_memory
 from hsvaos.kernels.gather import gather
-from hsvaos.kernels.packing import Packed, pack
+from hsvaos.kernels.packing import Packed, pack, pair_rows
 from hsvaos.kernels.rays import focal_points, plane_map
 from hsvaos.kernels.tiles import TilePhotos, gather_planes, gather_tiles
 from hsvaos.surface import FocalPlane, FocalSurface, FocalTerrain
@@ -37,13 +39,17 @@ _NO_LIMIT = 1e15
 
 _NOT_YET = object()
 
+_MANY_PLANES = 8
+"""Planes as large as the photos from which on these are worth another copy in a faster form."""
+
 
 class Integrator:
     """Photos held on a device, ready to be integrated from any virtual camera.
 
     On the CPU the first integral packs photos and weights into a form that is fast to gather,
-    which takes 4 bytes a pixel more (8 for RGB that is not uint8 or has float weights); what is
-    written into the photos' memory after that is not seen. See `kernels.packing` for what is
+    which takes 4 bytes a pixel more (8 for RGB that is not uint8 or has float weights), and the
+    first focal stack of 8 planes or more takes another 8 for uint8 RGB under a mask, where they are
+    free; what is written into the photos' memory after that is not seen. See `kernels.packing` for what is
     rounded, and `kernels.gather` for the plain kernel, which runs where rounding would cost
     accuracy, and on CUDA.
 
@@ -92,6 +98,7 @@ class Integrator:
         self._gains = check_gains(gains, stack)
         self._weights, self._weight_unit = self._check_weights(weights)
         self._packed: Any = _NOT_YET if packed is None else packed
+        self._pairs: Packed | None = None
         self._packing = Lock()
 
     def _without_gaps(self, weights: Any) -> Any:
@@ -316,6 +323,8 @@ class Integrator:
             planes = [surface for surface in surfaces if isinstance(surface, FocalPlane)]
             straight = view.camera is None or not view.camera.has_distortion
             if straight and reach == _NO_LIMIT and len(planes) == len(surfaces):
+                samples = len(planes) * view.width * view.height
+                photos = replace(photos, packed=self._paired(packed, samples))
                 maps = [plane_map(view, plane) for plane in planes]
                 gather_planes(photos, maps, view.size, pictures, covers)
                 return
@@ -338,6 +347,15 @@ class Integrator:
                 photos = (self._stack, self._weights, self._weight_unit)
                 self._packed = pack(*photos) if on_cpu else None
             return self._packed
+
+    def _paired(self, packed: Packed, samples: int) -> Packed:
+        """The photos in the form that is fastest to gather, once that pays and memory allows."""
+        with self._packing:
+            if self._pairs is None and samples >= _MANY_PLANES * self._stack.size:
+                free = free_memory()
+                if free is None or 2 * packed.nbytes < free // 2:
+                    self._pairs = pair_rows(self._stack, packed)
+            return self._pairs or packed
 
     def _select(
         self, view: VirtualCamera, aperture_m: float | None, frames: Sequence[int] | None

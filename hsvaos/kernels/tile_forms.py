@@ -163,12 +163,17 @@ def _bytes(word: str, load: str, load_four: str, corners: tuple[int, int, int, i
         corners: Where in the 16 bytes the upper left, upper right, lower left and lower right are.
     """
     a, b, c, d = corners
-    down = [[pixel + k + ch for ch in range(4) for k in (a, c, b, d)] for pixel in (0, 16, 32, 48)]
+    down = [
+        pixel + k + channel
+        for pixel in (0, 16, 32, 48)
+        for channel in range(4)
+        for k in (a, c, b, d)
+    ]
     fours = [
         _FOUR.substitute(
             first=first,
             load=load_four,
-            down=_listed(sum(down, [])),
+            down=_listed(down),
             spread=_listed([first + k // 4 for k in range(16)]),
         )
         for first in (0, 4, 8, 12)

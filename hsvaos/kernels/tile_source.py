@@ -74,7 +74,7 @@ _TILE = Template("""{
                 }
                 const $word* frame = (const $word*)job.words.data
                     + (size_t)__builtin_bit_cast(int, f[12 * count]) * job.frame_stride;
-                for (int i = 0; i < SIZE; i += 8) {
+                for (int i = 0; plane == 0 && i < SIZE; i += 8) {
                     const int* at = places + half + i;
                     __builtin_prefetch(frame + at[0]);
                     __builtin_prefetch(frame + at[7] + 1);
