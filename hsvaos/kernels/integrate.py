@@ -49,8 +49,8 @@ class Integrator:
     On the CPU the first integral packs photos and weights into a form that is fast to gather,
     which takes 4 bytes a pixel more (8 for RGB that is not uint8 or has float weights), and the
     first focal stack of 8 planes or more takes another 8 for uint8 RGB under a mask, where they are
-    free; what is written into the photos' memory after that is not seen. See `kernels.packing` for what is
-    rounded, and `kernels.gather` for the plain kernel, which runs where rounding would cost
+    free; what is written into the photos' memory after that is not seen. See `kernels.packing` for
+    what is rounded, and `kernels.gather` for the plain kernel, which runs where rounding would cost
     accuracy, and on CUDA.
 
     Args:
