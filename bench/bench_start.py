@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from bench.harness import Contenders, size
+from bench.harness import SMOKE, Contenders, size
 
 _FIRST = """
 import numpy as np, hsvaos
@@ -45,4 +45,4 @@ RACES: dict[str, Callable[[], Contenders]] = {"cold start, kernels in the cache"
 
 def test_race(benchmark: Any, contender: tuple[str, str]) -> None:
     benchmark.group = contender[0]
-    benchmark.pedantic(RACES[contender[0]]()[contender[1]], rounds=3, warmup_rounds=1)
+    benchmark.pedantic(RACES[contender[0]]()[contender[1]], rounds=1 if SMOKE else 3)

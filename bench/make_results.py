@@ -1,11 +1,15 @@
 """Run every race with its contenders taking turns and write `bench/RESULTS.md`.
 
-python -m bench.make_results [--rounds 7] [--only WORD]    (WORD: only print races of that name)
+    python -m bench.make_results [--rounds 7] [--without WORD] [--only WORD ...] [--print]
+
+--without leaves contenders out by name (the NumPy twins take most of the time), --only runs only
+the races with one of these words in their names, --print writes nothing.
 """
 
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -31,20 +35,26 @@ Medians = dict[str, float]
 class Runner:
     """Runs races and remembers what could not be run."""
 
-    def __init__(self, rounds: int, only: str) -> None:
+    def __init__(self, rounds: int, only: list[str], without: str) -> None:
         self.rounds = rounds
         self.only = only
+        self.without = without
         self.left_out: list[str] = []
 
     def __call__(
         self, races: dict[str, Callable[[], Contenders]], clock: Clock = cpu_clock
     ) -> Iterator[tuple[str, Medians]]:
         for name, make in races.items():
-            if self.only not in name:
+            if self.only and not any(word in name for word in self.only):
                 continue
             sys.stderr.write(f"{name} ...\n")
             try:
-                medians = race(make(), self.rounds, clock)
+                contenders = {
+                    contender: work
+                    for contender, work in make().items()
+                    if not (self.without and self.without in contender)
+                }
+                medians = race(contenders, self.rounds, clock)
             except ValueError as error:  # e.g. no network that fits
                 self.left_out.append(f"{name}: {error}")
                 sys.stderr.write(f"  left out: {error}\n")
@@ -80,7 +90,7 @@ def growth_table(title: str, grown: dict[Any, Medians]) -> list[str]:
     return [*lines, ""]
 
 
-def heading(machine: Machine, rounds: int) -> list[str]:
+def heading(machine: Machine, rounds: int, command: str) -> list[str]:
     """Where and how it was measured."""
     versions = ", ".join(f"{name} {version}" for name, version in machine.versions.items())
     return [
@@ -93,8 +103,7 @@ def heading(machine: Machine, rounds: int) -> list[str]:
         "",
         f"CPU milliseconds of all threads (process time), medians of {rounds} rounds in which the "
         "contenders take turns; photos are 1024 x 1024 where nothing else is said. Read the "
-        "ratios: the machine was shared. Remake with "
-        f"`python -m bench.make_results --rounds {rounds}`.",
+        f"ratios: the machine was shared. Made by `{command}`.",
         "",
     ]
 
@@ -131,16 +140,21 @@ def _devices() -> list[Any]:
 
 def main() -> None:
     """Measure and write."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--rounds", type=int, default=7)
-    parser.add_argument("--only", default="", metavar="WORD")
+    parser.add_argument("--only", nargs="*", default=[], metavar="WORD")
+    parser.add_argument("--print", action="store_true")
+    parser.add_argument("--without", default="", metavar="WORD")
     asked = parser.parse_args()
-    lines = measured(Runner(asked.rounds, asked.only))
-    if asked.only:
+    lines = measured(Runner(asked.rounds, asked.only, asked.without))
+    if asked.print:
         sys.stdout.write("\n".join(lines))
         return
     gpu = next((device for device in _devices() if device.is_cuda), resolve_device("cpu"))
-    lines = [*heading(detect_machine(gpu), asked.rounds), *lines]
+    command = f"python -m bench.make_results {shlex.join(sys.argv[1:])}".strip()
+    lines = [*heading(detect_machine(gpu), asked.rounds, command), *lines]
     old = RESULTS.read_text(encoding="utf-8") if RESULTS.exists() else ""
     _, marker, rest = old.partition(KEPT)
     RESULTS.write_text("\n".join(lines) + f"{marker}{rest}", "utf-8")

@@ -26,7 +26,7 @@ from hsvaos.kernels.arrays import (
 )
 from hsvaos.kernels.coherence import gather_coherence
 from hsvaos.kernels.device import free_memory
-from hsvaos.kernels.gather import gather
+from hsvaos.kernels.gather import PlacedPhotos, gather, place_photos
 from hsvaos.kernels.packing import Packed, pack, pair_rows
 from hsvaos.kernels.rays import focal_points, plane_map
 from hsvaos.kernels.tiles import TilePhotos, gather_planes, gather_tiles
@@ -270,9 +270,7 @@ class Integrator:
         order, reach, image, coherence = self._target(view, surface, aperture_m, frames, out)
         require_unit_range(self._stack)
         points = focal_points(view, surface, device=self.device)
-        photos = (self.camera, self._stack, self._weights, self._weight_unit)
-        poses = self._poses_from(view)
-        gather_coherence(*photos, poses, self._gains, order, reach, points, image, coherence)
+        gather_coherence(self._placed(view, order), reach, points, image, coherence)
         if out is not None:
             return out
         return like_input(image, self._like), like_input(coherence, self._like)
@@ -304,6 +302,11 @@ class Integrator:
         poses[:, :3, 3] -= view.world_from_camera[:3, 3]
         return poses
 
+    def _placed(self, view: VirtualCamera, order: NDArray[np.int32]) -> PlacedPhotos:
+        weights = (self._weights, self._weight_unit)
+        poses = self._poses_from(view)
+        return place_photos(self.camera, self._stack, weights, poses, self._gains, order)
+
     def _gather(
         self,
         view: VirtualCamera,
@@ -315,29 +318,27 @@ class Integrator:
     ) -> None:
         """Integrate over surfaces, one a picture of the stack; launches only, nothing waits."""
         packed = self._photos()
-        poses = self._poses_from(view)
         pictures = stack.reshape((len(surfaces), view.height, view.width, self.channels))
         covers = footprint.reshape((len(surfaces), view.height, view.width))
         if packed is not None:
-            photos = TilePhotos(self.camera, packed, poses, self._gains, order)
+            tiled = TilePhotos(self.camera, packed, self._poses_from(view), self._gains, order)
             planes = [surface for surface in surfaces if isinstance(surface, FocalPlane)]
             straight = view.camera is None or not view.camera.has_distortion
             if straight and reach == _NO_LIMIT and len(planes) == len(surfaces):
                 samples = len(planes) * view.width * view.height
-                photos = replace(photos, packed=self._paired(packed, samples))
+                tiled = replace(tiled, packed=self._paired(packed, samples))
                 maps = [plane_map(view, plane) for plane in planes]
-                gather_planes(photos, maps, view.size, pictures, covers)
+                gather_planes(tiled, maps, view.size, pictures, covers)
                 return
+        else:
+            placed = self._placed(view, order)
         points = None
         for i, surface in enumerate(surfaces):
-            picture, cover = pictures[i], covers[i]
             points = focal_points(view, surface, out=points, device=self.device)
             if packed is not None:
-                gather_tiles(photos, reach, points, view.size, picture, cover)
+                gather_tiles(tiled, reach, points, view.size, pictures[i], covers[i])
             else:
-                weights = (self._weights, self._weight_unit)
-                where = (poses, self._gains, order, reach, points)
-                gather(self.camera, self._stack, *weights, *where, picture, cover)
+                gather(placed, reach, points, pictures[i], covers[i])
 
     def _photos(self) -> Packed | None:
         """The photos packed for the CPU, once; None where the plain gather has to do."""

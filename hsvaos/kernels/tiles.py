@@ -20,7 +20,8 @@ from hsvaos.kernels.device import launch
 from hsvaos.kernels.packing import Packed
 from hsvaos.kernels.rays import PlaneMap
 from hsvaos.kernels.tile_forms import FORMS
-from hsvaos.kernels.tile_source import WAYS, tile_source
+from hsvaos.kernels.tile_source import tile_source
+from hsvaos.kernels.tile_ways import WAYS
 
 wp.set_module_options({"enable_backward": False})
 
