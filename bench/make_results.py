@@ -1,6 +1,6 @@
 """Run every race with its contenders taking turns and write `bench/RESULTS.md`.
 
-    python -m bench.make_results [--rounds 7] [--without WORD] [--only WORD ...] [--print]
+    python -m bench.make_results [--rounds 7] [--without WORD ...] [--only WORD ...] [--print]
 
 --without leaves contenders out by name (the NumPy twins take most of the time), --only runs only
 the races with one of these words in their names, --print writes nothing.
@@ -35,7 +35,7 @@ Medians = dict[str, float]
 class Runner:
     """Runs races and remembers what could not be run."""
 
-    def __init__(self, rounds: int, only: list[str], without: str) -> None:
+    def __init__(self, rounds: int, only: list[str], without: list[str]) -> None:
         self.rounds = rounds
         self.only = only
         self.without = without
@@ -52,7 +52,7 @@ class Runner:
                 contenders = {
                     contender: work
                     for contender, work in make().items()
-                    if not (self.without and self.without in contender)
+                    if not any(word in contender for word in self.without)
                 }
                 medians = race(contenders, self.rounds, clock)
             except ValueError as error:  # e.g. no network that fits
@@ -146,7 +146,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--only", nargs="*", default=[], metavar="WORD")
     parser.add_argument("--print", action="store_true")
-    parser.add_argument("--without", default="", metavar="WORD")
+    parser.add_argument("--without", nargs="*", default=[], metavar="WORD")
     asked = parser.parse_args()
     lines = measured(Runner(asked.rounds, asked.only, asked.without))
     if asked.print:
