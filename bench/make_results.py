@@ -157,7 +157,7 @@ def main() -> None:
     lines = [*heading(detect_machine(gpu), asked.rounds, command), *lines]
     old = RESULTS.read_text(encoding="utf-8") if RESULTS.exists() else ""
     _, marker, rest = old.partition(KEPT)
-    RESULTS.write_text("\n".join(lines) + f"{marker}{rest}", "utf-8")
+    RESULTS.write_text("\n".join([*lines, ""]) + f"{marker}{rest}", "utf-8")
 
 
 if __name__ == "__main__":
