@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from bench.data import photos
 from bench.harness import Contenders, size
 from hsvaos import reference, rx_masks
+from hsvaos.benchmark.scenes import photos
 
 
 def rx() -> Contenders:

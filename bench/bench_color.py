@@ -7,9 +7,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from bench.data import masks, photos
 from bench.harness import Contenders, size
 from hsvaos import brighten, reference, rgb_to_hsv
+from hsvaos.benchmark.scenes import masks, photos
 
 
 def hsv() -> Contenders:

@@ -8,9 +8,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from bench.data import photos
 from bench.harness import SMOKE, Contenders, size
 from hsvaos import Detector
+from hsvaos.benchmark.scenes import photos
 from hsvaos.detect.anomaly import find_persons
 from hsvaos.detect.layouts import own_channels
 from hsvaos.detect.network import Network

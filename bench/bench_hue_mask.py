@@ -7,9 +7,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from bench.data import photos
 from bench.harness import Contenders, size
 from hsvaos import hue_masks, reference
+from hsvaos.benchmark.scenes import photos
 from hsvaos.hue_statistics import BINS, hue_statistics
 from hsvaos.kernels.device import threads
 from hsvaos.kernels.hue_mask import measure_hue

@@ -6,11 +6,12 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import warp as wp
 
-from bench.data import lawnmower, masks, photos
 from bench.harness import Contenders, size
-from bench.peers import PEERS, opencv, plane_homography, premultiply
+from bench.peers import GPU_PEERS, PEERS, opencv, plane_homography, premultiply
 from hsvaos import FocalPlane, Integrator, reference
+from hsvaos.benchmark.scenes import lawnmower, masks, photos
 
 FRAMES = 12
 FLIGHT = 117
@@ -27,6 +28,19 @@ class Scene:
         self.side = self.view.width
         shape = (self.side, self.side)
         self.out = (np.empty((*shape, 3), np.float32), np.empty(shape, np.float32))
+
+    def on_gpu(self) -> Any:
+        """Photos resident on the device; a call ends when the picture is there."""
+        device = wp.get_device("cuda:0")
+        images = wp.array(self.images, dtype=wp.uint8, device=device)
+        integrator = Integrator(self.camera, images, self.poses, self.weights)
+        out = tuple(wp.array(part, dtype=float, device=device) for part in self.out)
+
+        def work() -> None:
+            integrator.integrate(self.view, self.surface, out=out)
+            wp.synchronize_device(device)
+
+        return work
 
     def ours(self) -> Any:
         integrator = Integrator(self.camera, self.images, self.poses, self.weights)
@@ -67,6 +81,13 @@ def flight() -> Contenders:
     return {name: work for name, work in contenders.items() if work is not None}
 
 
+def flight_on_gpu() -> Contenders:
+    scene = Scene(size(FLIGHT, 3), size(1024))
+    contenders = {"hsvaos kernel": scene.on_gpu()}
+    contenders |= {name: scene.peer(make) for name, make in GPU_PEERS.items()}
+    return {name: work for name, work in contenders.items() if work is not None}
+
+
 def scaled(frames: int, side: int, view_side: int) -> Contenders:
     scene = Scene(size(frames, 2), size(side), size(view_side))
     return {
@@ -79,16 +100,22 @@ RACES: dict[str, Any] = {
     f"integral image, {FRAMES} RGB photos with masks": integral,
     f"integral image, {FLIGHT} RGB photos with masks": flight,
 }
-RACES |= {
-    f"integral image 512 x 512, {frames} photos of 512 x 512": partial(scaled, frames, 512, 512)
-    for frames in (1, 10, 100, 1000)
+_BY_FRAMES = {
+    frames: f"integral image 512 x 512, {frames} photos of 512 x 512"
+    for frames in (1, 3, 10, 30, 100, 300, 1000)
 }
-RACES |= {
-    f"integral image {side} x {side}, 30 photos": partial(scaled, 30, 1024, side)
-    for side in (256, 512, 2048)
+_BY_PIXELS = {
+    side: f"integral image {side} x {side}, 30 photos" for side in (128, 256, 512, 1024, 2048)
 }
+RACES |= {name: partial(scaled, frames, 512, 512) for frames, name in _BY_FRAMES.items()}
+RACES |= {name: partial(scaled, 30, 1024, side) for side, name in _BY_PIXELS.items()}
+SCALINGS = {
+    "photos of 512 x 512, to one integral of 512 x 512": _BY_FRAMES,
+    "side of the integral [px], from 30 photos of 1024 x 1024": _BY_PIXELS,
+}
+GPU_RACES = {f"CUDA: integral image, {FLIGHT} RGB photos with masks": flight_on_gpu}
 
 
 def test_race(benchmark: Any, contender: tuple[str, str]) -> None:
     benchmark.group = contender[0]
-    benchmark.pedantic(RACES[contender[0]]()[contender[1]], rounds=3, warmup_rounds=1)
+    benchmark.pedantic((RACES | GPU_RACES)[contender[0]]()[contender[1]], rounds=3, warmup_rounds=1)

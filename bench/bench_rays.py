@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from bench.data import lawnmower
 from bench.harness import Contenders, size
 from hsvaos import FocalPlane, FocalTerrain, reference
+from hsvaos.benchmark.scenes import lawnmower
 from hsvaos.kernels.rays import focal_points
 
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from bench.data import lawnmower, masks, photos
 from bench.harness import Contenders, size
 from bench.peers import opencv, plane_homography, premultiply
 from hsvaos import FocalPlane, Integrator, focus_measure, reference
+from hsvaos.benchmark.scenes import lawnmower, masks, photos
 
 FRAMES, PLANES = 6, 4
 
@@ -28,12 +29,12 @@ def focal_stack() -> Contenders:
     }
 
 
-def deep_stack() -> Contenders:
+def deep_stack(count: int) -> Contenders:
     side, frames = size(512), size(30, 2)
     camera, poses, view = lawnmower(frames, side)
     images, weights = photos(frames, side), masks(frames, side)
     integrator = Integrator(camera, images, poses, weights)
-    downs = np.linspace(-3.0, 0.0, size(32, 2))
+    downs = np.linspace(-3.0, 0.0, count)
     shape = (len(downs), side, side)
     out = (np.empty((*shape, 3), np.float32), np.empty(shape, np.float32))
     ready = premultiply(images, weights)
@@ -57,11 +58,18 @@ def focus() -> Contenders:
     }
 
 
-RACES = {
-    "focal stack, 32 planes 512 x 512, 30 photos 512 x 512 with masks": deep_stack,
+_BY_PLANES = {
+    count: f"focal stack, {count} planes 512 x 512, 30 photos 512 x 512 with masks"
+    for count in (1, 4, 8, 32, 64)
+}
+RACES: dict[str, Any] = {
+    name: partial(deep_stack, size(count, min(count, 9))) for count, name in _BY_PLANES.items()
+}
+RACES |= {
     f"focal stack, {PLANES} planes, {FRAMES} photos": focal_stack,
     "focus measure, 128 x 128 px": focus,
 }
+SCALINGS = {"planes of 512 x 512, from 30 photos of 512 x 512": _BY_PLANES}
 
 
 def test_race(benchmark: Any, contender: tuple[str, str]) -> None:

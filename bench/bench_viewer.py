@@ -22,10 +22,10 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
-from bench.data import lawnmower, photos
 from bench.harness import SMOKE
 from bench.viewer_browser import page
 from hsvaos import Camera, Flight, Frame, Settings, VirtualCamera
+from hsvaos.benchmark.scenes import lawnmower, photos
 from hsvaos.kernels.device import quiet_start
 from hsvaos.photos import Photos
 from hsvaos.settings import DetectSettings

@@ -18,10 +18,21 @@ quiet_start()
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """One benchmark a contender, for every race that a bench file defines."""
-    if "contender" in metafunc.fixturenames:
-        races = metafunc.module.RACES
-        pairs = [(race, name) for race in races for name in races[race]()]
-        metafunc.parametrize("contender", pairs, ids=[f"{r} | {n}" for r, n in pairs])
+    if "contender" not in metafunc.fixturenames:
+        return
+    import warp as wp
+
+    races = dict(metafunc.module.RACES)
+    params: list[Any] = []
+    for race, make in getattr(metafunc.module, "GPU_RACES", {}).items():
+        if wp.is_cuda_available():
+            races[race] = make
+        else:
+            skip = pytest.mark.skip(reason="no CUDA device on this machine")
+            params.append(pytest.param((race, ""), marks=skip, id=race))
+    for race, make in races.items():
+        params += [pytest.param((race, name), id=f"{race} | {name}") for name in make()]
+    metafunc.parametrize("contender", params)
 
 
 def bench_files() -> list[Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any
 
 import cv2
@@ -107,31 +108,70 @@ def numba(photos: list[np.ndarray], homographies: list[np.ndarray], side: int) -
     return work
 
 
-def grid_sample(photos: list[np.ndarray], homographies: list[np.ndarray], side: int) -> Work | None:
+def grid_sample(
+    photos: list[np.ndarray], homographies: list[np.ndarray], side: int, device: str = "cpu"
+) -> Work | None:
     """PyTorch's grid_sample, photo by photo, on planar float photos that lie ready."""
     try:
         import torch
     except ImportError:
         return skipped("torch")
+    if device != "cpu" and not torch.cuda.is_available():
+        return skipped("torch for CUDA")
     torch.set_num_threads(threads())
     height, width = photos[0].shape[:2]
-    stack = [torch.from_numpy(p.transpose(2, 0, 1).astype(np.float32))[None] for p in photos]
+    planar = (np.ascontiguousarray(p.transpose(2, 0, 1), np.float32) for p in photos)
+    stack = [torch.from_numpy(p)[None].to(device) for p in planar]
     to_unit = np.array([[2 / (width - 1), 0, -1], [0, 2 / (height - 1), -1], [0, 0, 1.0]])
-    matrices = [torch.from_numpy((to_unit @ h).astype(np.float32)) for h in homographies]
-    axis = torch.arange(side, dtype=torch.float32)
+    matrices = [(to_unit @ h).tolist() for h in homographies]
+    axis = torch.arange(side, dtype=torch.float32, device=device)
     x, y = axis[None, :], axis[:, None]
 
-    def work() -> np.ndarray:
+    def work() -> Any:
         with torch.inference_mode():
-            total = torch.zeros((1, 4, side, side))
+            total = torch.zeros((1, 4, side, side), device=device)
             for photo, h in zip(stack, matrices, strict=True):
-                near = 1.0 / (h[2, 0] * x + h[2, 1] * y + h[2, 2])
-                u = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) * near
-                v = (h[1, 0] * x + h[1, 1] * y + h[1, 2]) * near
+                near = 1.0 / (h[2][0] * x + h[2][1] * y + h[2][2])
+                u = (h[0][0] * x + h[0][1] * y + h[0][2]) * near
+                v = (h[1][0] * x + h[1][1] * y + h[1][2]) * near
                 grid = torch.stack([u, v], dim=-1)[None]
                 total += torch.nn.functional.grid_sample(photo, grid, align_corners=True)
             total[:, :3] /= (total[:, 3:] / 255.0).clamp(min=1e-6)
+            if device != "cpu":
+                torch.cuda.synchronize()
+                return total
             return np.asarray(total[0].permute(1, 2, 0))
+
+    return work
+
+
+def cupy(photos: list[np.ndarray], homographies: list[np.ndarray], side: int) -> Work | None:
+    """CuPy's map_coordinates, photo by photo and channel by channel, on photos that lie ready."""
+    try:
+        import cupy as cp
+        from cupyx.scipy.ndimage import map_coordinates
+    except ImportError:
+        return skipped("cupy")
+    stack = [cp.asarray(np.ascontiguousarray(p.transpose(2, 0, 1), np.float32)) for p in photos]
+    axis = cp.arange(side, dtype=cp.float32)
+    x, y = axis[None, :], axis[:, None]
+    matrices = [h.tolist() for h in homographies]
+
+    def work() -> Any:
+        total = cp.zeros((4, side, side), cp.float32)
+        for photo, h in zip(stack, matrices, strict=True):
+            near = 1.0 / (h[2][0] * x + h[2][1] * y + h[2][2])
+            at = cp.stack(
+                [
+                    (h[1][0] * x + h[1][1] * y + h[1][2]) * near,
+                    (h[0][0] * x + h[0][1] * y + h[0][2]) * near,
+                ]
+            )
+            for channel, sums in zip(photo, total, strict=True):
+                sums += map_coordinates(channel, at, order=1, mode="constant")
+        total[:3] /= cp.maximum(total[3:] / 255.0, 1e-6)
+        cp.cuda.get_current_stream().synchronize()
+        return total
 
     return work
 
@@ -146,3 +186,5 @@ PEERS = {
     "numba parallel gather": numba,
     "PyTorch grid_sample": grid_sample,
 }
+
+GPU_PEERS = {"PyTorch grid_sample": partial(grid_sample, device="cuda"), "CuPy": cupy}

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 
 def main() -> None:
     """Run the command line; errors of input end in one line and exit code 2, Ctrl-C in 130."""
+    # threads of NumPy's linear algebra only wait for each other on matrices of 15 x 15
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from hsvaos.cli import app
 
     try:

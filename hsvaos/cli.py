@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hsvaos.benchmark.command import bench
 from hsvaos.cli_options import (
     Aperture,
     Autofocus,
@@ -54,6 +55,7 @@ app.command()(detection.detect)
 app.command()(nav)
 app.command()(simulate)
 app.command("view")(view_command)
+app.command()(bench)
 
 
 @app.callback(invoke_without_command=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from hsvaos.flight import Flight, FlightError, Frame
 from hsvaos.formats.images import photos_ahead
 from hsvaos.kernels.arrays import scalar_type
+from hsvaos.kernels.device import free_memory
 from hsvaos.nav.photos import poses_at_photos
 
 Progress = Callable[[str, int, int], None]
@@ -152,19 +152,10 @@ def _check_memory(shape: tuple[int, ...], itemsize: int, flight: Flight) -> None
     pixels = shape[0] * shape[1] * shape[2]
     channels = shape[3] if len(shape) == 4 else 1
     needed = pixels * (channels * itemsize + _BYTES_A_PIXEL)
-    free = _free_memory()
+    free = free_memory()
     if free is not None and needed > free:
         raise FlightError(
             f"{flight.source}: {shape[0]} photos of {shape[2]} x {shape[1]} px need "
             f"{needed / 2**30:.1f} GiB of memory, {free / 2**30:.1f} GiB are free: use a smaller "
             f"scale (--scale 0.5 needs a quarter)"
         )
-
-
-def _free_memory() -> int | None:
-    """Bytes that programs can still get, or None where the system does not say."""
-    try:
-        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
-        return next(int(line.split()[1]) for line in lines if line.startswith("MemAvail")) * 1024
-    except (OSError, ValueError, IndexError, StopIteration):
-        return None

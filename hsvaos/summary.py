@@ -63,12 +63,9 @@ def doctor_summary() -> dict[str, dict[str, str]]:
     """Return versions, devices, kernel cache and what each extra lacks."""
     import warp as wp
 
-    from hsvaos import __version__
     from hsvaos.kernels.device import threads
 
-    versions = {"hsvaos": __version__, "python": sys.version.split()[0]}
-    for name in ("warp-lang", "numpy", "opencv-python-headless", "onnxruntime", "typer"):
-        versions[name] = _version(name)
+    versions = installed_versions()
     devices = {device.alias: str(device.name) for device in wp.get_devices()}
     devices["cpu"] = f"{platform.machine()}, {threads()} threads"
     extras = {}
@@ -82,6 +79,16 @@ def doctor_summary() -> dict[str, dict[str, str]]:
         "kernel cache": {"folder": str(wp.config.kernel_cache_dir)},
         "extras": extras,
     }
+
+
+def installed_versions() -> dict[str, str]:
+    """Return the versions of hsvaos, of Python and of what does the work."""
+    from hsvaos import __version__
+
+    versions = {"hsvaos": __version__, "python": sys.version.split()[0]}
+    for name in ("warp-lang", "numpy", "opencv-python-headless", "onnxruntime", "typer"):
+        versions[name] = _version(name)
+    return versions
 
 
 def _version(name: str) -> str:

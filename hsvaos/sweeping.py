@@ -19,7 +19,7 @@ from hsvaos.rendering import make_integrators
 from hsvaos.settings import Settings
 from hsvaos.viewing import sized_view
 
-_PLANES_AT_ONCE = 4
+_PLANES_AT_ONCE = 8
 
 RARITY_CURVE = "rarity_kurtosis"
 

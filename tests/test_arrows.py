@@ -38,6 +38,7 @@ ALLOWED = {
     | {"finding"},
     "sweeping": BASE | {"photos", "masking", "kernels", "rendering", "viewing", "focusing"},
     "demo": BASE | {"formats"},
+    "benchmark": BASE | {"kernels", "cli_options", "summary"},
     "report": BASE | {"detect", "result", "sweeping"},
     "viewer": BASE
     | {"photos", "masking", "kernels", "result", "rendering", "focusing", "viewing", "report"}

@@ -92,7 +92,7 @@ def test_masks_that_differ_are_held_for_each_photo(flight: hsvaos.Flight, tmp_pa
 def test_too_many_pixels_for_the_memory_are_refused(
     flight: hsvaos.Flight, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hsvaos.photos._free_memory", lambda: 10_000_000)
+    monkeypatch.setattr("hsvaos.photos.free_memory", lambda: 10_000_000)
     with pytest.raises(hsvaos.FlightError, match=r"GiB.*--scale 0\.5"):
         load_photos(flight)
 

@@ -7,16 +7,13 @@ Of the rays that reach a point, the one whose rare colour most other rare rays s
 from functools import lru_cache
 from typing import Any
 
-import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
-from hsvaos.camera import Camera
-from hsvaos.kernels.arrays import Stack, pixel_view
+from hsvaos.kernels.arrays import pixel_view
 from hsvaos.kernels.device import launch
-from hsvaos.kernels.gather import Pose, packed_poses
-from hsvaos.kernels.lab import CURVE, GAMMA, gamma_table, lab_curve_table, lab_pixel
-from hsvaos.kernels.lens import Lens, lens, project
+from hsvaos.kernels.gather import PlacedPhotos, Pose
+from hsvaos.kernels.lab import lab_pixel, lab_tables
+from hsvaos.kernels.lens import Lens, project
 from hsvaos.kernels.pixels import as_colour, as_value, times_gain
 
 wp.set_module_options({"enable_backward": False})
@@ -161,43 +158,23 @@ def _coherence_kernel(pixel: Any, weight: Any, value: Any) -> Any:
 
 
 def gather_coherence(
-    camera: Camera,
-    stack: Stack,
-    weights: Any,
-    weight_unit: float,
-    poses: NDArray[np.float64],
-    gains: NDArray[np.float64],
-    order: NDArray[np.int32],
-    reach: float,
-    points: Any,
-    image: Any,
-    coherence: Any,
+    photos: PlacedPhotos, reach: float, points: Any, image: Any, coherence: Any
 ) -> None:
-    """Measure coherence at given points; for the arguments see `kernels.gather.gather`.
+    """Measure coherence at given points; only launches.
 
     Args:
-        camera: Camera of the photos.
-        stack: The photos.
-        weights: Warp array (N or 1, H * W), uint8 or float32.
-        weight_unit: Weight of 1 in that array; 0 if all pixels have the weight 1.
-        poses: Shape (N, 4, 4), world from camera, relative to the points' origin.
-        gains: Shape (N, 3), factors on the channels.
-        order: Numbers of the photos to use.
+        photos: The photos.
         reach: Greatest horizontal distance of a photo from a point [m].
         points: Warp array (H * W) of vec4, see `focal_points`.
         image: Warp array of H * W * C float32, written: mean colour of the rays that agree.
         coherence: Warp array of H * W float32, written, 0..1.
     """
-    size = points.size
+    stack, weights, size = photos.stack, photos.weights, points.size
     value = wp.vec3 if stack.channels == 3 else wp.float32
     inputs = [
-        lens(camera),
-        packed_poses(poses, gains, stack.device),
-        wp.array(order, dtype=int, device=stack.device),
-        reach * reach,
-        *(points, stack.pixels, weights, weight_unit, int(weights.shape[0] > 1), stack.white),
-        wp.array(gamma_table(GAMMA), dtype=float, device=stack.device),
-        wp.array(lab_curve_table(CURVE), dtype=float, device=stack.device),
+        *(photos.lens, photos.poses, photos.order, reach * reach),
+        *(points, stack.pixels, weights, photos.weight_unit, int(weights.shape[0] > 1)),
+        *(stack.white, *lab_tables(stack.device)),
         *(pixel_view(image, value, (size,)), pixel_view(coherence, wp.float32, (size,))),
     ]
     launch(_coherence_kernel(stack.pixel, weights.dtype, value), size, inputs, stack.device)

@@ -5,6 +5,7 @@ import os
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import warp as wp
@@ -57,6 +58,15 @@ def quiet_start() -> None:
         os.dup2(saved, 2)
         os.close(saved)
         os.close(null)
+
+
+def free_memory() -> int | None:
+    """Return the bytes that programs can still get, or None where the system does not say."""
+    try:
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+        return next(int(line.split()[1]) for line in lines if line.startswith("MemAvail")) * 1024
+    except (OSError, ValueError, IndexError, StopIteration):
+        return None
 
 
 def threads() -> int:

@@ -1,5 +1,6 @@
 """The plain gather: one thread a pixel loops over the photos. It runs on every device."""
 
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -119,42 +120,66 @@ def packed_poses(poses: NDArray[np.float64], gains: NDArray[np.float64], device:
     return wp.array(packed, dtype=Pose, device=device)
 
 
-def gather(
+@dataclass(frozen=True, eq=False)
+class PlacedPhotos:
+    """Photos as they are, and from where they were taken, on the device.
+
+    Args:
+        stack: The photos.
+        weights: Warp array (N or 1, H * W), uint8 or float32.
+        weight_unit: Weight of 1 in that array; 0 if all pixels have the weight 1.
+        lens: Lens of their camera.
+        poses: Warp array (N) of `Pose`, relative to the points' origin.
+        order: Warp array of int, numbers of the photos to use.
+    """
+
+    stack: Stack
+    weights: Any
+    weight_unit: float
+    lens: Any
+    poses: Any
+    order: Any
+
+
+def place_photos(
     camera: Camera,
     stack: Stack,
-    weights: Any,
-    weight_unit: float,
+    weights: tuple[Any, float],
     poses: NDArray[np.float64],
     gains: NDArray[np.float64],
     order: NDArray[np.int32],
-    reach: float,
-    points: Any,
-    image: Any,
-    footprint: Any,
-) -> None:
-    """Integrate photos as they are at given points.
+) -> PlacedPhotos:
+    """Bring to the device what all integrals of one view share.
 
     Args:
         camera: Camera of the photos.
         stack: The photos.
-        weights: Warp array (N or 1, H * W), uint8 or float32.
-        weight_unit: Weight of 1 in that array; 0 if all pixels have the weight 1.
+        weights: Warp array and unit, see `PlacedPhotos`.
         poses: Shape (N, 4, 4), world from camera, relative to the points' origin.
         gains: Shape (N, 3), factors on the channels.
         order: Numbers of the photos to use.
+    """
+    device = stack.device
+    numbers = wp.array(order, dtype=int, device=device)
+    placed = packed_poses(poses, gains, device)
+    return PlacedPhotos(stack, *weights, lens(camera), placed, numbers)
+
+
+def gather(photos: PlacedPhotos, reach: float, points: Any, image: Any, footprint: Any) -> None:
+    """Integrate photos as they are at given points; only launches.
+
+    Args:
+        photos: The photos.
         reach: Greatest horizontal distance of a photo from a point [m].
         points: Warp array (H * W) of vec4, see `focal_points`.
         image: Warp array of H * W * C float32, written.
         footprint: Warp array of H * W float32, written.
     """
-    size = points.size
+    stack, weights, size = photos.stack, photos.weights, points.size
     value = wp.vec3 if stack.channels == 3 else wp.float32
     inputs = [
-        lens(camera),
-        packed_poses(poses, gains, stack.device),
-        wp.array(order, dtype=int, device=stack.device),
-        reach * reach,
-        *(points, stack.pixels, weights, weight_unit, int(weights.shape[0] > 1)),
+        *(photos.lens, photos.poses, photos.order, reach * reach),
+        *(points, stack.pixels, weights, photos.weight_unit, int(weights.shape[0] > 1)),
         *(pixel_view(image, value, (size,)), pixel_view(footprint, wp.float32, (size,))),
     ]
     launch(_gather_kernel(stack.pixel, weights.dtype, value), size, inputs, stack.device)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
+from dataclasses import replace
 from threading import Lock
 from typing import Any
 
@@ -24,10 +25,11 @@ from hsvaos.kernels.arrays import (
     to_array,
 )
 from hsvaos.kernels.coherence import gather_coherence
-from hsvaos.kernels.gather import gather
-from hsvaos.kernels.packing import Packed, pack
-from hsvaos.kernels.rays import focal_points
-from hsvaos.kernels.tiles import gather_tiles
+from hsvaos.kernels.device import free_memory
+from hsvaos.kernels.gather import PlacedPhotos, gather, place_photos
+from hsvaos.kernels.packing import Packed, pack, pair_rows
+from hsvaos.kernels.rays import focal_points, plane_map
+from hsvaos.kernels.tiles import TilePhotos, gather_planes, gather_tiles
 from hsvaos.surface import FocalPlane, FocalSurface, FocalTerrain
 
 wp.set_module_options({"enable_backward": False})
@@ -37,14 +39,18 @@ _NO_LIMIT = 1e15
 
 _NOT_YET = object()
 
+_MANY_PLANES = 8
+"""Planes as large as the photos from which on these are worth another copy in a faster form."""
+
 
 class Integrator:
     """Photos held on a device, ready to be integrated from any virtual camera.
 
     On the CPU the first integral packs photos and weights into a form that is fast to gather,
-    which takes 4 bytes a pixel more (8 for RGB that is not uint8 or has float weights); what is
-    written into the photos' memory after that is not seen. See `kernels.packing` for what is
-    rounded, and `kernels.gather` for the plain kernel, which runs where rounding would cost
+    which takes 4 bytes a pixel more (8 for RGB that is not uint8 or has float weights), and the
+    first focal stack of 8 planes or more takes another 8 for uint8 RGB under a mask, where they are
+    free; what is written into the photos' memory after that is not seen. See `kernels.packing` for
+    what is rounded, and `kernels.gather` for the plain kernel, which runs where rounding would cost
     accuracy, and on CUDA.
 
     Args:
@@ -92,6 +98,7 @@ class Integrator:
         self._gains = check_gains(gains, stack)
         self._weights, self._weight_unit = self._check_weights(weights)
         self._packed: Any = _NOT_YET if packed is None else packed
+        self._pairs: Packed | None = None
         self._packing = Lock()
 
     def _without_gaps(self, weights: Any) -> Any:
@@ -185,8 +192,7 @@ class Integrator:
             TypeError: If surface is no focal surface.
         """
         order, reach, image, footprint = self._target(view, surface, aperture_m, frames, out)
-        points = focal_points(view, surface, device=self.device)
-        self._gather(view, order, reach, points, image, footprint)
+        self._gather(view, [surface], order, reach, image, footprint)
         if out is not None:
             return out
         return like_input(image, self._like), like_input(footprint, self._like)
@@ -224,10 +230,8 @@ class Integrator:
         channels = self._stack.channels
         stack = output_array(given[0], (*shape, channels), wp.float32, self.device, "out[0]")
         footprint = output_array(given[1], shape, wp.float32, self.device, "out[1]")
-        points = None
-        for i, down in enumerate(downs):  # launches only: nothing here waits for the device
-            points = focal_points(view, FocalPlane(float(down)), out=points, device=self.device)
-            self._gather(view, order, reach, points, stack[i], footprint[i])
+        surfaces = [FocalPlane(float(down)) for down in downs]
+        self._gather(view, surfaces, order, reach, stack, footprint)
         if out is not None:
             return out
         return like_input(stack, self._like), like_input(footprint, self._like)
@@ -266,9 +270,7 @@ class Integrator:
         order, reach, image, coherence = self._target(view, surface, aperture_m, frames, out)
         require_unit_range(self._stack)
         points = focal_points(view, surface, device=self.device)
-        photos = (self.camera, self._stack, self._weights, self._weight_unit)
-        poses = self._poses_from(view)
-        gather_coherence(*photos, poses, self._gains, order, reach, points, image, coherence)
+        gather_coherence(self._placed(view, order), reach, points, image, coherence)
         if out is not None:
             return out
         return like_input(image, self._like), like_input(coherence, self._like)
@@ -300,22 +302,43 @@ class Integrator:
         poses[:, :3, 3] -= view.world_from_camera[:3, 3]
         return poses
 
+    def _placed(self, view: VirtualCamera, order: NDArray[np.int32]) -> PlacedPhotos:
+        weights = (self._weights, self._weight_unit)
+        poses = self._poses_from(view)
+        return place_photos(self.camera, self._stack, weights, poses, self._gains, order)
+
     def _gather(
         self,
         view: VirtualCamera,
+        surfaces: Sequence[FocalSurface],
         order: NDArray[np.int32],
         reach: float,
-        points: Any,
-        image: Any,
+        stack: Any,
         footprint: Any,
     ) -> None:
-        photos = self._photos()
-        where = (self._poses_from(view), self._gains, order, reach, points)
-        if photos is None:
-            weights = (self._weights, self._weight_unit)
-            gather(self.camera, self._stack, *weights, *where, image, footprint)
+        """Integrate over surfaces, one a picture of the stack; launches only, nothing waits."""
+        packed = self._photos()
+        pictures = stack.reshape((len(surfaces), view.height, view.width, self.channels))
+        covers = footprint.reshape((len(surfaces), view.height, view.width))
+        if packed is not None:
+            tiled = TilePhotos(self.camera, packed, self._poses_from(view), self._gains, order)
+            planes = [surface for surface in surfaces if isinstance(surface, FocalPlane)]
+            straight = view.camera is None or not view.camera.has_distortion
+            if straight and reach == _NO_LIMIT and len(planes) == len(surfaces):
+                samples = len(planes) * view.width * view.height
+                tiled = replace(tiled, packed=self._paired(packed, samples))
+                maps = [plane_map(view, plane) for plane in planes]
+                gather_planes(tiled, maps, view.size, pictures, covers)
+                return
         else:
-            gather_tiles(self.camera, photos, *where, view.size, image, footprint)
+            placed = self._placed(view, order)
+        points = None
+        for i, surface in enumerate(surfaces):
+            points = focal_points(view, surface, out=points, device=self.device)
+            if packed is not None:
+                gather_tiles(tiled, reach, points, view.size, pictures[i], covers[i])
+            else:
+                gather(placed, reach, points, pictures[i], covers[i])
 
     def _photos(self) -> Packed | None:
         """The photos packed for the CPU, once; None where the plain gather has to do."""
@@ -325,6 +348,15 @@ class Integrator:
                 photos = (self._stack, self._weights, self._weight_unit)
                 self._packed = pack(*photos) if on_cpu else None
             return self._packed
+
+    def _paired(self, packed: Packed, samples: int) -> Packed:
+        """The photos in the form that is fastest to gather, once that pays and memory allows."""
+        with self._packing:
+            if self._pairs is None and samples >= _MANY_PLANES * self._stack.size:
+                free = free_memory()
+                if free is None or 2 * packed.nbytes < free // 2:
+                    self._pairs = pair_rows(self._stack, packed)
+            return self._pairs or packed
 
     def _select(
         self, view: VirtualCamera, aperture_m: float | None, frames: Sequence[int] | None

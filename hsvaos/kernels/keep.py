@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from hsvaos.kernels.arrays import Stack, device_of, pixel_scales, pixel_view, to_array, valid_array
 from hsvaos.kernels.device import launch
-from hsvaos.kernels.lab import CURVE, GAMMA, gamma_table, lab_curve_table, lab_pixel
+from hsvaos.kernels.lab import lab_pixel, lab_tables
 from hsvaos.kernels.pixels import as_vec3, is_colour
 from hsvaos.rarity_model import LIGHTNESS_FLOOR
 
@@ -101,10 +101,7 @@ def keep_colours(
     target = pixel_view(array, array.dtype, (stack.count, stack.size))
     kernel = _keep_kernel(stack.pixel, array.dtype)
     unit = 1.0 if array.dtype is wp.uint8 else 1.0 / 255.0
-    tables = [
-        wp.array(table, dtype=float, device=stack.device)
-        for table in (gamma_table(GAMMA), lab_curve_table(CURVE))
-    ]
+    tables = lab_tables(stack.device)
     kept = wp.array(wanted, dtype=wp.vec3, device=stack.device)
     scales = pixel_scales(stack, gains)
     for i in range(stack.count):

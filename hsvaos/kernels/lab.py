@@ -1,5 +1,8 @@
 """sRGB to CIE Lab through tables: powers and cube roots are most of the cost on a CPU."""
 
+from functools import lru_cache
+from typing import Any
+
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
@@ -34,6 +37,22 @@ def lab_curve_table(entries: int) -> NDArray[np.float32]:
     return np.where(t > 216.0 / 24389.0, np.cbrt(t), (24389.0 / 27.0 * t + 16.0) / 116.0).astype(
         np.float32
     )
+
+
+def lab_tables(device: Any) -> tuple[Any, Any]:
+    """Return the two tables that `lab_pixel` takes, as Warp arrays; they are brought over once.
+
+    Args:
+        device: Warp device.
+    """
+    return _tables_on(device.alias)
+
+
+@lru_cache
+def _tables_on(alias: str) -> tuple[Any, Any]:
+    gamma: Any = wp.array(gamma_table(GAMMA), dtype=float, device=alias)
+    curve: Any = wp.array(lab_curve_table(CURVE), dtype=float, device=alias)
+    return gamma, curve
 
 
 @wp.func

@@ -1,6 +1,6 @@
 """Photos packed for fast gathering on the CPU: colour and weight of a pixel in one word."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from string import Template
 from typing import Any
@@ -28,6 +28,7 @@ class Packed:
         words: Warp array, shape (N, words of a frame), uint32.
         form: What a pixel is; each part has 8, 16 or 32 bits:
             "rgb8" one word, R, G, B and weight, which is 0 or 255;
+            "rgb8 pairs" two words, a pixel of "rgb8" and the one below it;
             "rgb16" two words, R, G, B times weight, and weight, as half floats;
             "grey16" one word, grey and weight;
             "grey32" one word, a float;
@@ -65,7 +66,7 @@ class PackJob:
     words: wp.array2d(dtype=wp.uint32)
 
 
-_WORDS = {"rgb8": 1, "rgb16": 2, "grey16": 1, "grey32": 1, "grey32 weighted": 2}
+_WORDS = {"rgb8": 1, "rgb8 pairs": 2, "rgb16": 2, "grey16": 1, "grey32": 1, "grey32 weighted": 2}
 
 _ROW = Template("""
     const int width = job.width, height = job.height;
@@ -184,6 +185,52 @@ def pack(stack: Stack, weights: Any, weight_unit: float) -> Packed | None:
     kernel = _pack_kernel(form, stack.scalar, weight)
     launch(kernel, stack.count * (stack.height + 2), inputs, stack.device, ROW_GRAIN)
     return packed
+
+
+@wp.func_native("""
+    const int width = job.width;
+    const int line = row % (job.height + 1), frame = row / (job.height + 1);
+    const unsigned* from = words.data + (size_t)frame * frame_stride + (size_t)line * row_stride;
+    unsigned long long* to = (unsigned long long*)job.words.data
+        + (size_t)frame * job.frame_stride + (size_t)line * job.row_stride;
+    #pragma clang loop vectorize(enable)
+    for (int x = 0; x < width + 2; ++x) {
+        to[x] = from[x] | (unsigned long long)from[row_stride + x] << 32;
+    }
+""")
+def _pair_row(
+    row: int, job: PackJob, words: wp.array2d(dtype=wp.uint32), row_stride: int, frame_stride: int
+): ...
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def _pair_kernel(
+    offset: int,
+    band: int,
+    job: PackJob,
+    words: wp.array2d(dtype=wp.uint32),
+    row_stride: int,
+    frame_stride: int,
+):
+    _pair_row(wp.tid() + offset, job, words, row_stride, frame_stride)
+
+
+def pair_rows(stack: Stack, packed: Packed) -> Packed | None:
+    """Return photos of the form "rgb8" as "rgb8 pairs": faster to gather, twice as large.
+
+    Args:
+        stack: The photos that were packed.
+        packed: The packed photos.
+
+    Returns:
+        The pairs; None for other forms.
+    """
+    if packed.form != "rgb8":
+        return None
+    pairs, job = empty_packed(stack, "rgb8 pairs", weight_unit=packed.weight_unit)
+    inputs = [job, packed.words, packed.row, packed.frame]
+    launch(_pair_kernel, stack.count * (stack.height + 1), inputs, stack.device, ROW_GRAIN)
+    return replace(pairs, white=packed.white)
 
 
 def empty_packed(

@@ -23,7 +23,7 @@ from hsvaos.kernels.arrays import (
     valid_array,
 )
 from hsvaos.kernels.device import bands, launch
-from hsvaos.kernels.lab import CURVE, GAMMA, gamma_table, lab_curve_table, lab_pixel
+from hsvaos.kernels.lab import lab_pixel, lab_tables
 from hsvaos.kernels.pixels import as_value, as_vec3, is_colour
 from hsvaos.rarity_model import (
     CHROMA_BINS,
@@ -162,7 +162,7 @@ def rarity_model(
     counts = wp.zeros(
         (len(bands(stack.size, stack.device)), bins), dtype=wp.int64, device=stack.device
     )
-    tables = _tables(stack.device)
+    tables = lab_tables(stack.device)
     scales = pixel_scales(stack, gains)
     kernel = _count_kernel(stack.pixel)
     for i in range(stack.count):
@@ -216,7 +216,7 @@ def apply_rarity(
     shape = (stack.count, stack.height, stack.width)
     result = output_array(out, shape, scalar, stack.device, "out")
     target = pixel_view(result, scalar, (stack.count, stack.size))
-    tables = _tables(stack.device)
+    tables = lab_tables(stack.device)
     scales = pixel_scales(stack, gains)
     kernel = _weight_kernel(stack.pixel, scalar)
     for i in range(stack.count):
@@ -275,9 +275,3 @@ def rarity_weights(
         images, model, dtype=dtype, valid=valid, gains=gains, out=out, device=device
     )
     return weights, model
-
-
-def _tables(device: Any) -> tuple[Any, Any]:
-    gamma = wp.array(gamma_table(GAMMA), dtype=float, device=device)
-    curve = wp.array(lab_curve_table(CURVE), dtype=float, device=device)
-    return gamma, curve

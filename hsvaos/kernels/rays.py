@@ -1,5 +1,6 @@
 """Rays of a virtual camera, and where they meet the focal surface."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -235,7 +236,9 @@ def focal_points(
     centre = view.world_from_camera[:3, 3]
     if isinstance(surface, FocalPlane):
         if device.is_cpu and not (view.camera and view.camera.has_distortion):
-            inputs = [view.width, *plane_map(view, surface), hits]
+            to = plane_map(view, surface)
+            matrix = (wp.mat33(*to.points.ravel()), wp.vec3(*to.scales), to.least)
+            inputs = [view.width, *matrix, hits]
             launch(_plane_rows, view.height, inputs, device, ROW_GRAIN)
             return hits
         place = [view.width, eye, wp.vec3(*(surface.point - centre)), wp.vec3(*surface.normal)]
@@ -246,33 +249,44 @@ def focal_points(
     return hits
 
 
-def plane_map(view: VirtualCamera, plane: FocalPlane) -> tuple[Any, Any, float]:
-    """Return the projective map from pixels of an undistorted view to points of a plane.
+@dataclass(frozen=True, eq=False)
+class PlaneMap:
+    """The projective map from pixels of an undistorted view to points of a plane.
+
+    Args:
+        points: Shape (3, 3), float64, times a pixel (u, v, 1), over `scales` times that pixel, is
+            the point relative to the view's centre [m].
+        scales: Shape (3,), float64.
+        least: What the scale of a pixel must exceed where its ray meets the plane.
+    """
+
+    points: NDArray[np.float64]
+    scales: NDArray[np.float64]
+    least: float
+
+
+def plane_map(view: VirtualCamera, plane: FocalPlane) -> PlaneMap:
+    """Return the map from pixels of an undistorted view to points of a plane.
 
     Args:
         view: The virtual camera or ground grid.
         plane: The focal plane.
-
-    Returns:
-        A matrix and a vector that are multiplied by a pixel (u, v, 1): their quotient is the point
-        relative to the view's centre [m]. And what the second must exceed where the ray meets the
-        plane.
     """
     rotation = view.world_from_camera[:3, :3]
     above = plane.normal @ (plane.point - view.world_from_camera[:3, 3])
+    nothing = PlaneMap(np.zeros((3, 3)), np.zeros(3), 0.0)
     if view.camera is None:
         slope = plane.normal @ rotation[:, 2]
         if abs(slope) < _LEVEL:
-            return wp.mat33(), wp.vec3(), 0.0
+            return nothing
         origins = np.column_stack([rotation[:, :2] * view.gsd_m, np.zeros(3)])
         way = -plane.normal @ origins + [0.0, 0.0, above]
         points = origins + np.outer(rotation[:, 2], way / slope)
-        return wp.mat33(*points.ravel()), wp.vec3(0.0, 0.0, 1.0), 0.0
+        return PlaneMap(points, np.array([0.0, 0.0, 1.0]), 0.0)
     if above == 0.0:
-        return wp.mat33(), wp.vec3(), 0.0
+        return nothing
     directions = rotation @ np.linalg.inv(view.camera.matrix())
-    slopes = plane.normal @ directions / above
-    return wp.mat33(*directions.ravel()), wp.vec3(*slopes), float(_LEVEL / abs(above))
+    return PlaneMap(directions, plane.normal @ directions / above, float(_LEVEL / abs(above)))
 
 
 def place_terrain(

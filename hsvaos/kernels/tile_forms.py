@@ -15,22 +15,20 @@ class Form:
 
     Args:
         word: Type of a packed pixel.
-        declare: Arrays of the tile.
-        clear: Sets the sums of pixel i to 0.
+        declare: Arrays of the tile, the sums 0.
         place: Weighs the corners of pixel i by the fractions fu and fv of its place in a photo,
             in a vector loop; `in` tells whether the photo sees it.
         mix: Adds up the corners of all pixels.
         sums: Sum of each channel, and last that of the weights.
-        unit: Factor on the sum of the weights.
+        unit: C of the factor on the sum of the weights.
     """
 
     word: str
     declare: str
-    clear: str
     place: str
     mix: str
     sums: tuple[str, ...]
-    unit: float = 1.0
+    unit: str = "1.0f"
 
     @property
     def channels(self) -> int:
@@ -38,30 +36,64 @@ class Form:
         return len(self.sums) - 1
 
 
-# the bilinear weights are whole numbers that sum to 16384, side by side in 64 bits
-_RGB8 = Form(
-    word="unsigned",
-    declare="""
+# Bilinear weights are whole numbers. Where the processor multiplies bytes by fours (VNNI), they sum
+# to 127 x 128 and are kept as two bytes, whose products with the corners are summed apart; else
+# they sum to 128 x 128, side by side in 64 bits.
+_BYTES_DECLARE = """
+#if defined(__AVX512VNNI__) && defined(__AVX512BW__) && defined(__AVX512VL__)
+    #define HSVAOS_FOURS
+    typedef int i32v __attribute__((vector_size(64)));
+    typedef float f32v __attribute__((vector_size(64)));
+    typedef unsigned char u8v __attribute__((vector_size(64)));
+    typedef long long i64v __attribute__((vector_size(64)));
+    typedef long long i64x2 __attribute__((vector_size(16)));
+    enum { UNIT = 16256 };
+    alignas(64) float sums[4 * SIZE];
+    alignas(64) unsigned coarse[2 * SIZE], fine[2 * SIZE];
+    const auto sum_of = [&](int i, int c) { return sums[4 * i + c]; };
+#else
+    enum { UNIT = 16384 };
     alignas(64) f32x8 sums[SIZE];
     alignas(64) unsigned long long shares[2 * SIZE];
-""",
-    clear="sums[i] = f32x8{};",
-    place="""
-    const int iu = (int)(fu * 16384.0f + 0.5f), iv = (int)(fv * 16384.0f + 0.5f);
-    const int corner = (iu * iv + 8192) >> 14;
-    const unsigned upper = (unsigned)(16384 - iu - iv + corner) | (unsigned)(iu - corner) << 16;
-    const unsigned lower = (unsigned)(iv - corner) | (unsigned)corner << 16;
-    shares[half + i] = in ? (unsigned long long)lower << 32 | upper : 0;
-""",
-    mix="""
+    const auto sum_of = [&](int i, int c) { return sums[i][2 * c] + sums[i][2 * c + 1]; };
+#endif
+    __builtin_memset(sums, 0, sizeof(sums));
+"""
+
+_BYTES_PLACE = """
+    const int iu = (int)(fu * (float)UNIT + 0.5f), iv = (int)(fv * (float)UNIT + 0.5f);
+    const int corner = (int)(fu * fv * (float)UNIT + 0.5f);
+    const unsigned upper = (unsigned)(UNIT - iu - iv + corner) & 65535u
+        | (unsigned)(iu - corner) << 16;
+    const unsigned lower = (unsigned)(iv - corner) & 65535u | (unsigned)corner << 16;
+#ifdef HSVAOS_FOURS
+    // bytes of upper left, lower left, upper right and lower right
+    const unsigned most = (upper >> 7 & 0x00ff00ffu) | (lower << 1 & 0xff00ff00u);
+    coarse[half + i] = in ? most : 0u;
+    fine[half + i] = in ? (upper & 0x007f007fu) | (lower << 8 & 0x7f007f00u) : 0u;
+#else
+    shares[half + i] = in ? (unsigned long long)lower << 32 | upper : 0ull;
+#endif
+"""
+
+_BYTES_MIX = Template("""
+#ifdef HSVAOS_FOURS
+    const f32v gains = {gain_0, gain_1, gain_2, 1.0f, gain_0, gain_1, gain_2, 1.0f,
+        gain_0, gain_1, gain_2, 1.0f, gain_0, gain_1, gain_2, 1.0f};
+    // masks the compiler does not see through: it shall merge loads, not shuffle registers
+    const unsigned one = row_stride > 0;
+    for (int i = 0; i < SIZE; i += 16) {
+        const i32v high = *(const i32v*)(coarse + half + i);
+        const i32v low = *(const i32v*)(fine + half + i);
+        $fours
+    }
+#else
     const f32x8 gains = {gain_0, gain_0, gain_1, gain_1, gain_2, gain_2, 1.0f, 1.0f};
     for (int i = 0; i < SIZE; ++i) {
-        const unsigned* at = frame + places[half + i];
+        const $word* at = frame + places[half + i];
         u64x2 corners;
-        __builtin_memcpy(&corners, at, 8);
-        __builtin_memcpy((char*)&corners + 8, at + row_stride, 8);
-        const u8x16 bytes = __builtin_shufflevector((u8x16)corners, (u8x16)corners,
-            0, 4, 8, 12, 1, 5, 9, 13, 2, 6, 10, 14, 3, 7, 11, 15);
+        $load
+        const u8x16 bytes = __builtin_shufflevector((u8x16)corners, (u8x16)corners, $across);
         const i16x16 values = __builtin_convertvector(bytes, i16x16);
         const unsigned long long four = shares[half + i];
         const u64x4 share = {four, four, four, four};
@@ -76,10 +108,90 @@ _RGB8 = Form(
     #endif
         sums[i] += __builtin_convertvector(pairs, f32x8) * gains;
     }
-""",
-    sums=tuple(f"(sums[i][{2 * c}] + sums[i][{2 * c + 1}])" for c in range(4)),
-    unit=1.0 / 16384.0,
-)
+#endif
+""")
+
+# corners of four pixels, with all channels, against their weights
+_FOUR = Template("""{
+            const int* to = places + half + i + $first;
+            $load
+            const i32v bytes = (i32v)__builtin_shufflevector((u8v)corners, (u8v)corners, $down);
+            i32v total = __builtin_ia32_vpdpbusd512((i32v){}, bytes,
+                __builtin_shufflevector(high, high, $spread));
+            total = __builtin_ia32_vpdpbusd512(total << 7, bytes,
+                __builtin_shufflevector(low, low, $spread));
+            *(f32v*)(sums + 4 * (i + $first)) += __builtin_convertvector(total, f32v) * gains;
+        }
+""")
+
+_ROWS_LOAD = """
+        __builtin_memcpy(&corners, at, 8);
+        __builtin_memcpy((char*)&corners + 8, at + row_stride, 8);
+"""
+
+_ROWS_LOAD_FOUR = """
+            long long pair[8];
+            for (int k = 0; k < 4; ++k) {
+                __builtin_memcpy(&pair[2 * k], frame + to[k], 8);
+                __builtin_memcpy(&pair[2 * k + 1], frame + to[k] + row_stride, 8);
+            }
+            i64v corners = {pair[0], 0, 0, 0, 0, 0, 0, 0};
+            #pragma unroll
+            for (int k = 1; k < 8; ++k) {
+                const i64v again = {pair[k], pair[k], pair[k], pair[k],
+                    pair[k], pair[k], pair[k], pair[k]};
+                corners = (i64v)__builtin_ia32_selectq_512(
+                    (unsigned char)(one << k), again, corners);
+            }
+"""
+
+_PAIRS_LOAD_FOUR = """
+            i64x2 pair[4];
+            for (int k = 0; k < 4; ++k) __builtin_memcpy(&pair[k], frame + to[k], 16);
+            const i64v corners = {pair[0][0], pair[0][1], pair[1][0], pair[1][1],
+                pair[2][0], pair[2][1], pair[3][0], pair[3][1]};
+"""
+
+
+def _bytes(word: str, load: str, load_four: str, corners: tuple[int, int, int, int]) -> Form:
+    """Form of RGB and weight in bytes.
+
+    Args:
+        word: Type of a packed pixel.
+        load: Takes the 16 bytes of a pixel's corners at `at`.
+        load_four: Takes the corners of the pixels `to[0]` to `to[3]`.
+        corners: Where in the 16 bytes the upper left, upper right, lower left and lower right are.
+    """
+    a, b, c, d = corners
+    down = [
+        pixel + k + channel
+        for pixel in (0, 16, 32, 48)
+        for channel in range(4)
+        for k in (a, c, b, d)
+    ]
+    fours = [
+        _FOUR.substitute(
+            first=first,
+            load=load_four,
+            down=_listed(down),
+            spread=_listed([first + k // 4 for k in range(16)]),
+        )
+        for first in (0, 4, 8, 12)
+    ]
+    across = _listed([k + ch for ch in range(4) for k in corners])
+    return Form(
+        word=word,
+        declare=_BYTES_DECLARE,
+        place=_BYTES_PLACE,
+        mix=_BYTES_MIX.substitute(fours="".join(fours), word=word, load=load, across=across),
+        sums=tuple(f"sum_of(i, {c})" for c in range(4)),
+        unit="(1.0f / UNIT)",
+    )
+
+
+def _listed(numbers: list[int]) -> str:
+    return ", ".join(map(str, numbers))
+
 
 _CORNERS = """
     alignas(64) float upper_left[2 * SIZE], upper_right[2 * SIZE];
@@ -88,8 +200,7 @@ _CORNERS = """
 
 _RGB16 = Form(
     word="unsigned long long",
-    declare=_CORNERS + "alignas(64) f32x8 sums[SIZE];",
-    clear="sums[i] = f32x8{};",
+    declare=_CORNERS + "alignas(64) f32x8 sums[SIZE] = {};",
     place="""
     const float corner = fu * fv;
     upper_left[half + i] = in ? 1.0f - fu - fv + corner : 0.0f;
@@ -145,8 +256,7 @@ def _grey(word: str, load: str, level: str, weight: str) -> Form:
     corners |= {f"weight_{p}": weight.replace("@", p) for p in "abcd"}
     return Form(
         word=word,
-        declare=_CORNERS + "alignas(64) float total[SIZE], total_w[SIZE];",
-        clear="total[i] = total_w[i] = 0.0f;",
+        declare=_CORNERS + "alignas(64) float total[SIZE] = {}, total_w[SIZE] = {};",
         place=_RGB16.place,
         mix=_GREY.substitute(word=word, load=load, **corners),
         sums=("total[i]", "total_w[i]"),
@@ -154,7 +264,11 @@ def _grey(word: str, load: str, level: str, weight: str) -> Form:
 
 
 FORMS = {
-    "rgb8": _RGB8,
+    "rgb8": _bytes("unsigned", _ROWS_LOAD, _ROWS_LOAD_FOUR, (0, 4, 8, 12)),
+    "rgb8 pairs": _bytes(
+        *("unsigned long long", "__builtin_memcpy(&corners, at, 16);", _PAIRS_LOAD_FOUR),
+        (0, 8, 4, 12),
+    ),
     "rgb16": _RGB16,
     "grey16": _grey(
         *("unsigned", _PAIRS, "(float)(int)(@ & 65535u)"),

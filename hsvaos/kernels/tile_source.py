@@ -3,6 +3,7 @@
 from string import Template
 
 from hsvaos.kernels.tile_forms import Form
+from hsvaos.kernels.tile_ways import Way
 
 _TILE = Template("""{
     #pragma clang fp contract(fast)
@@ -17,83 +18,22 @@ _TILE = Template("""{
     enum { SIDE = 16, SIZE = 256, CHUNK = 64 };
     const int width = job.width, height = job.height, count = job.count;
     const int row_stride = job.row_stride, distorted = job.distorted;
-    const float reach = job.reach, right = job.right, bottom = job.bottom;
+    const float right = job.right, bottom = job.bottom;
     const float *m = job.poses.data, *sides = job.sides.data;
+    const int planes = job.planes, plane = index % planes, tile = index / planes;
     const int tiles_x = (width + SIDE - 1) / SIDE;
     const int left = (tile % tiles_x) * SIDE, top = (tile / tiles_x) * SIDE;
     const int columns = width - left < SIDE ? width - left : SIDE;
     const int rows = height - top < SIDE ? height - top : SIDE;
-
-    // points of the tile about the middle of their box, so that small differences stay exact
-    alignas(64) float px[SIZE], py[SIZE], pz[SIZE], live[SIZE];
-    float low[3] = {1e30f, 1e30f, 1e30f}, high[3] = {-1e30f, -1e30f, -1e30f};
-    int seen = 0;
-    for (int i = 0; i < SIZE; ++i) {
-        const int x = i % SIDE, y = i / SIDE;
-        live[i] = 0.0f;
-        if (x >= columns || y >= rows) continue;
-        const wp::vec4& p = job.points.data[(size_t)(top + y) * width + left + x];
-        if (!(p[3] > 0.0f)) continue;
-        live[i] = 1.0f;
-        ++seen;
-        px[i] = p[0], py[i] = p[1], pz[i] = p[2];
-        for (int k = 0; k < 3; ++k) {
-            low[k] = p[k] < low[k] ? p[k] : low[k];
-            high[k] = p[k] > high[k] ? p[k] : high[k];
-        }
-    }
-    float middle[3], radius = 0.0f;
-    for (int k = 0; k < 3; ++k) {
-        middle[k] = 0.5f * (low[k] + high[k]);
-        radius += (high[k] - middle[k]) * (high[k] - middle[k]);
-    }
-    radius = __builtin_sqrtf(radius);
-    if (radius > 1000.0f) {  // towards the horizon: exact for the near points, which count
-        for (int k = 0; k < 3; ++k) {
-            middle[k] = low[k] > 0.0f ? low[k] : (high[k] < 0.0f ? high[k] : 0.0f);
-        }
-        radius *= 2.0f;
-    }
-    for (int i = 0; i < SIZE; ++i) {
-        px[i] = live[i] > 0.0f ? px[i] - middle[0] : 0.0f;
-        py[i] = live[i] > 0.0f ? py[i] - middle[1] : 0.0f;
-        pz[i] = live[i] > 0.0f ? pz[i] - middle[2] : 0.0f;
-    }
-
+    $points
     alignas(64) int places[2 * SIZE];
     $declare
-    for (int i = 0; i < SIZE; ++i) { $clear }
 
     for (int start = 0; seen > 0 && start < count; start += CHUNK) {
         const int some = count - start < CHUNK ? count - start : CHUNK;
         alignas(64) float at_x[CHUNK], at_y[CHUNK], at_z[CHUNK];
         alignas(64) int state[CHUNK];  // 0: the frame cannot see the tile, 2: sees all of it
-        #pragma clang loop vectorize(enable)
-        for (int k = 0; k < some; ++k) {
-            const float* f = m + start + k;
-            const float dx = middle[0] - f[9 * count], dy = middle[1] - f[10 * count];
-            const float dz = middle[2] - f[11 * count];
-            const float x = f[0] * dx + f[count] * dy + f[2 * count] * dz;
-            const float y = f[3 * count] * dx + f[4 * count] * dy + f[5 * count] * dz;
-            const float z = f[6 * count] * dx + f[7 * count] * dy + f[8 * count] * dz;
-            const float away = __builtin_sqrtf(dx * dx + dy * dy);
-            // distance of the middle to each side of the view, in units of the sphere's radius
-            float least = z - sides[4];
-            float most = reach - away;
-            const float s0 = (x - sides[0] * z) * sides[5];
-            const float s1 = (sides[1] * z - x) * sides[6];
-            const float s2 = (y - sides[2] * z) * sides[7];
-            const float s3 = (sides[3] * z - y) * sides[8];
-            least = s0 < least ? s0 : least;
-            least = s1 < least ? s1 : least;
-            least = s2 < least ? s2 : least;
-            least = s3 < least ? s3 : least;
-            least = most < least ? most : least;
-            at_x[k] = x;
-            at_y[k] = y;
-            at_z[k] = z;
-            state[k] = (least > -radius ? 1 : 0) + (least > radius ? 1 : 0);
-        }
+        $cull
         int seeing[CHUNK], views = 0;
         for (int k = 0; k < some; ++k) {
             if (state[k] > 0) seeing[views++] = k;
@@ -104,10 +44,7 @@ _TILE = Template("""{
                 const int k = seeing[turn], half = (turn & 1) * SIZE;
                 const float* f = m + start + k;
                 const float x0 = at_x[k], y0 = at_y[k], z0 = at_z[k];
-                const float m00 = f[0], m01 = f[count], m02 = f[2 * count];
-                const float m10 = f[3 * count], m11 = f[4 * count], m12 = f[5 * count];
-                const float m20 = f[6 * count], m21 = f[7 * count], m22 = f[8 * count];
-                const float ax = middle[0] - f[9 * count], ay = middle[1] - f[10 * count];
+                $slopes
                 const float* l = sides + 9;
                 if (state[k] == 2 && seen == SIZE && !distorted) {
                     #pragma clang loop vectorize(enable) vectorize_width(16)
@@ -137,7 +74,7 @@ _TILE = Template("""{
                 }
                 const $word* frame = (const $word*)job.words.data
                     + (size_t)__builtin_bit_cast(int, f[12 * count]) * job.frame_stride;
-                for (int i = 0; i < SIZE; i += 8) {
+                for (int i = 0; plane == 0 && i < SIZE; i += 8) {
                     const int* at = places + half + i;
                     __builtin_prefetch(frame + at[0]);
                     __builtin_prefetch(frame + at[7] + 1);
@@ -154,23 +91,18 @@ _TILE = Template("""{
             }
         }
     }
-    for (int i = 0; i < SIZE; ++i) {
-        const int x = i % SIDE, y = i / SIDE;
-        if (x >= columns || y >= rows) continue;
-        const size_t pixel = (size_t)(top + y) * width + left + x;
-        const float weight = $weight;
-        const float share = weight > 0.0f ? weight : 1.0f;
-        job.footprint.data[pixel] = weight * job.weight_unit;
-        $store
+    const size_t first = (size_t)plane * width * height;
+    for (int y = 0; y < rows; ++y) {
+        for (int x = 0; x < columns; ++x) {
+            const int i = y * SIDE + x;
+            const size_t pixel = first + (size_t)(top + y) * width + left + x;
+            const float weight = $weight;
+            const float scale = job.white / (weight > 0.0f ? weight : 1.0f);
+            job.footprint.data[pixel] = weight * $unit * job.weight_unit;
+            $store
+        }
     }
 }""")
-
-_PROJECT = """
-                        const float x = x0 + m00 * px[i] + m01 * py[i] + m02 * pz[i];
-                        const float y = y0 + m10 * px[i] + m11 * py[i] + m12 * pz[i];
-                        const float z = z0 + m20 * px[i] + m21 * py[i] + m22 * pz[i];
-                        const float near = 1.0f / z;
-"""
 
 _DISTORT = """
                         const float r2 = xn * xn + yn * yn;
@@ -183,10 +115,8 @@ _DISTORT = """
 """
 
 _TEST = """
-                        const float ex = ax + px[i], ey = ay + py[i];
                         const bool in = (z > 0.0f) & (u >= -0.5f) & (v >= -0.5f) & (u <= right)
-                            & (v <= bottom) & (ex * ex + ey * ey <= reach * reach)
-                            & (live[i] > 0.0f);
+                            & (v <= bottom) & hit;
                         u = in ? u + 1.0f : 0.0f;
                         v = in ? v + 1.0f : 0.0f;
 """
@@ -199,24 +129,27 @@ _PLACE = """
 """
 
 
-def tile_source(form: Form) -> str:
-    """Return the C of the tile gather for one form of packed photos."""
+def tile_source(form: Form, way: Way) -> str:
+    """Return the C of the tile gather for one form of packed photos and one way into them."""
     channels = range(form.channels)
     gains = "".join(f"const float gain_{c} = f[{13 + c} * count];\n" for c in channels)
     store = "".join(
-        f"job.image.data[pixel * {form.channels} + {c}] = {form.sums[c]} * job.white / share;\n"
+        f"job.image.data[pixel * {form.channels} + {c}] = {form.sums[c]} * scale;\n"
         for c in channels
     )
     return _TILE.substitute(
         word=form.word,
         declare=form.declare,
-        clear=form.clear,
         gains=gains,
-        project=_PROJECT,
+        points=way.points,
+        cull=way.cull,
+        slopes=way.slopes,
+        project=way.project,
         test=_TEST,
         distort=_DISTORT,
         place=_PLACE + form.place,
         mix=form.mix,
         weight=form.sums[-1],
+        unit=form.unit,
         store=store,
     )

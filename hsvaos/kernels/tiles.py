@@ -6,6 +6,7 @@ at once; where the sphere lies inside a view no pixel is tested. The inner loop 
 the compiler turns into the vector instructions of the machine at hand.
 """
 
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -17,8 +18,10 @@ from hsvaos.camera import Camera
 from hsvaos.kernels.arrays import pixel_view
 from hsvaos.kernels.device import launch
 from hsvaos.kernels.packing import Packed
+from hsvaos.kernels.rays import PlaneMap
 from hsvaos.kernels.tile_forms import FORMS
 from hsvaos.kernels.tile_source import tile_source
+from hsvaos.kernels.tile_ways import WAYS
 
 wp.set_module_options({"enable_backward": False})
 
@@ -39,6 +42,9 @@ class TileJob:
     count: int
     poses: wp.array(dtype=float)
     sides: wp.array(dtype=float)
+    planes: int
+    maps: wp.array(dtype=wp.float64)
+    placed: wp.array(dtype=wp.float64)
     distorted: int
     right: float
     bottom: float
@@ -53,9 +59,9 @@ class TileJob:
 
 
 @lru_cache
-def _tile_kernel(form: str) -> Any:
-    @wp.func_native(tile_source(FORMS[form]))
-    def gather_tile(tile: int, job: TileJob): ...
+def _tile_kernel(form: str, way: str) -> Any:
+    @wp.func_native(tile_source(FORMS[form], WAYS[way]))
+    def gather_tile(index: int, job: TileJob): ...
 
     @wp.kernel(module="unique", enable_backward=False)
     def tile_kernel(offset: int, band: int, job: TileJob):
@@ -64,12 +70,27 @@ def _tile_kernel(form: str) -> Any:
     return tile_kernel
 
 
+@dataclass(frozen=True, eq=False)
+class TilePhotos:
+    """Photos to be gathered, and from where.
+
+    Args:
+        camera: Camera of the photos.
+        packed: The photos.
+        poses: Shape (N, 4, 4), world from camera, relative to the view's centre.
+        gains: Shape (N, 3), factors on the channels.
+        order: Numbers of the frames to use.
+    """
+
+    camera: Camera
+    packed: Packed
+    poses: NDArray[np.float64]
+    gains: NDArray[np.float64]
+    order: NDArray[np.int32]
+
+
 def gather_tiles(
-    camera: Camera,
-    packed: Packed,
-    poses: NDArray[np.float64],
-    gains: NDArray[np.float64],
-    order: NDArray[np.int32],
+    photos: TilePhotos,
     reach: float,
     points: Any,
     size: tuple[int, int],
@@ -79,43 +100,85 @@ def gather_tiles(
     """Integrate packed photos at given points, on the CPU.
 
     Args:
-        camera: Camera of the photos.
-        packed: The photos.
-        poses: Shape (N, 4, 4), world from camera, relative to the points' origin.
-        gains: Shape (N, 3), factors on the channels.
-        order: Numbers of the frames to use.
+        photos: The photos.
         reach: Greatest horizontal distance of a photo from a point [m].
         points: Warp array (H * W) of vec4, see `focal_points`.
         size: (width, height) of the view [px].
         image: Warp array (H * W * C), float32, written.
         footprint: Warp array (H * W), float32, written.
     """
-    count = len(order)
-    rotation = poses[order, :3, :3].transpose(0, 2, 1)
-    if not camera.has_distortion:
-        rotation = camera.matrix() @ rotation
-    rows = np.empty((16, count), np.float32)
-    rows[:9] = rotation.reshape(count, 9).T
-    rows[9:12] = poses[order, :3, 3].T
+    job = _tile_job(photos, size, image, footprint)
+    job.points = points
+    job.reach = reach
+    job.planes = 1
+    _launch(photos, job, "points")
+
+
+def gather_planes(
+    photos: TilePhotos,
+    maps: list[PlaneMap],
+    size: tuple[int, int],
+    image: Any,
+    footprint: Any,
+) -> None:
+    """Integrate packed photos over planes, for a view without distortion, on the CPU.
+
+    Tile by tile, all planes of it: what the photos show of a tile stays in the cache meanwhile.
+
+    Args:
+        photos: The photos.
+        maps: From pixels of the view to points of each plane, see `rays.plane_map`.
+        size: (width, height) of the view [px].
+        image: Warp array (D * H * W * C), float32, written.
+        footprint: Warp array (D * H * W), float32, written.
+    """
+    job = _tile_job(photos, size, image, footprint)
+    rows = [[*part.points.ravel(), *part.scales, part.least] for part in maps]
+    job.maps = wp.array(np.concatenate(rows), dtype=wp.float64, device="cpu")
+    rotation, centres = _projections(photos)
+    placed = np.concatenate([rotation.reshape(-1, 9).T, centres.T])
+    job.placed = wp.array(placed.ravel(), dtype=wp.float64, device="cpu")
+    job.planes = len(maps)
+    _launch(photos, job, "plane")
+
+
+def _launch(photos: TilePhotos, job: TileJob, way: str) -> None:
+    tiles = -(-job.width // TILE) * -(-job.height // TILE)
+    kernel = _tile_kernel(photos.packed.form, way)
+    launch(kernel, tiles * job.planes, [job], wp.get_device("cpu"), _GRAIN)
+
+
+def _projections(photos: TilePhotos) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Matrices that bring directions into the photos, in pixels where no lens distorts; centres."""
+    chosen = photos.poses[photos.order]
+    rotation = chosen[:, :3, :3].transpose(0, 2, 1)
+    if not photos.camera.has_distortion:
+        rotation = photos.camera.matrix() @ rotation
+    return rotation, chosen[:, :3, 3]
+
+
+def _tile_job(photos: TilePhotos, size: tuple[int, int], image: Any, footprint: Any) -> TileJob:
+    """Return what all tiles share, whichever way leads into the photos."""
+    camera, packed, order = photos.camera, photos.packed, photos.order
+    rotation, centres = _projections(photos)
+    rows = np.empty((16, len(order)), np.float32)
+    rows[:9] = rotation.reshape(-1, 9).T
+    rows[9:12] = centres.T
     rows[12] = order.astype(np.int32).view(np.float32)
-    rows[13:16] = gains[order].T
-    form = FORMS[packed.form]
+    rows[13:16] = photos.gains[order].T
     job = TileJob()
     job.width, job.height = size
-    job.points = points
-    job.count = count
+    job.count = len(order)
     job.poses = wp.array(rows.ravel(), dtype=float, device="cpu")
     job.sides = wp.array(_sides(camera), dtype=float, device="cpu")
     job.distorted = int(camera.has_distortion)
     job.right, job.bottom = camera.width - 0.5, camera.height - 0.5
-    job.reach = reach
     job.row_stride, job.frame_stride = packed.row, packed.frame
-    job.weight_unit, job.white = packed.weight_unit * form.unit, packed.white
+    job.weight_unit, job.white = packed.weight_unit, packed.white
     job.words = packed.words
     job.image = pixel_view(image, wp.float32, (image.size,))
     job.footprint = pixel_view(footprint, wp.float32, (footprint.size,))
-    tiles = -(-job.width // TILE) * -(-job.height // TILE)
-    launch(_tile_kernel(packed.form), tiles, [job], wp.get_device("cpu"), _GRAIN)
+    return job
 
 
 def _sides(camera: Camera) -> NDArray[np.float32]:

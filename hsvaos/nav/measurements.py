@@ -100,10 +100,11 @@ def gnss_velocity(
     H[0, 3] = H[1, 4] = H[2, 5] = 1.0
     expected = state[V]
     if lever.any():
-        swing = rotation @ np.cross(rate - state[BG], lever)
+        arm = rotation @ skew(lever)
+        swing = arm @ (state[BG] - rate)
         expected = expected + swing
         H[:, PHI] = -skew(swing)
-        H[:, BG] = rotation @ skew(lever)
+        H[:, BG] = arm
     return _arrived(measured - expected, H, std * std)
 
 

@@ -9,6 +9,8 @@ from hypothesis import strategies as st
 
 from hsvaos import Camera, FocalPlane, FocalTerrain, Integrator, VirtualCamera, reference
 from hsvaos.kernels import packing
+from hsvaos.kernels.arrays import Stack
+from hsvaos.kernels.device import resolve_device
 from tests.kernels.strategies import random_camera, random_pose, random_view, seeds
 from tests.kernels.test_integrate import looking_down, random_surface
 
@@ -183,3 +185,51 @@ def test_packed_photos_are_made_once_and_shared_masks_count_for_all() -> None:
     np.testing.assert_array_equal(first, again)
     assert photos.nbytes == 4 * photos.frame * 2
     assert photos.row * 4 % packing.LINE == 0
+
+
+@given(seed=seeds, ortho=st.booleans())
+def test_a_deep_stack_equals_its_planes_one_by_one(seed: int, ortho: bool) -> None:
+    """From 8 planes on photos are gathered in pairs of rows; nothing else may change."""
+    rng = np.random.default_rng(seed)
+    count, width, height = int(rng.integers(1, 5)), *map(int, rng.integers(2, 60, 2))
+    camera = random_camera(rng, width, height, rng.random() < 0.3)
+    images = rng.integers(0, 256, (count, height, width, 3), dtype=np.uint8)
+    weights = (rng.random((count, height, width)) < 0.7) * np.uint8(255)
+    poses = np.stack([random_pose(rng) for _ in range(count)])
+    gains = rng.uniform(0.5, 1.5, (count, 3))
+    view = VirtualCamera(random_camera(rng, width + 3, height + 2, False), random_pose(rng, 3.0))
+    if ortho:
+        view = VirtualCamera.ortho(8.0, -8.0, 0.3, width + 3, height + 2)
+    integrator = Integrator(camera, images, poses, weights, gains=gains)
+    downs = rng.uniform(-3.0, 4.0, 9)
+    stack, cover = integrator.sweep(view, downs)
+    assert integrator._pairs is not None
+    assert integrator._pairs.form == "rgb8 pairs"
+    single = Integrator(camera, images, poses, weights, gains=gains)
+    for i, down in enumerate(downs):
+        image, footprint = single.integrate(view, FocalPlane(down))
+        np.testing.assert_array_equal(stack[i], image)
+        np.testing.assert_array_equal(cover[i], footprint)
+        twin, rays = reference.integrate(
+            camera, images, poses, view, FocalPlane(down), weights, gains=gains
+        )
+        same = (np.abs(cover[i] - rays) < 2e-3 * np.maximum(rays, 1.0)) & (rays > 0.05)
+        if same.any():
+            assert decibel(stack[i][same], twin[same], 255.0) > 60.0
+    assert single._pairs is None
+
+
+def test_pairs_hold_each_pixel_and_the_one_below() -> None:
+    rng = np.random.default_rng(4)
+    stack = Stack(rng.integers(0, 256, (2, 5, 7, 3), dtype=np.uint8), resolve_device("cpu"))
+    packed = packing.pack(stack, None, 0.0)
+    pairs = packing.pair_rows(stack, packed)
+    flat, two = packed.words.numpy(), pairs.words.numpy().view(np.uint64)
+    for frame in range(2):
+        for line in range(6):
+            here = flat[frame, line * packed.row :][:9].astype(np.uint64)
+            below = flat[frame, (line + 1) * packed.row :][:9].astype(np.uint64)
+            twin = here | below << np.uint64(32)
+            np.testing.assert_array_equal(two[frame, line * pairs.row :][:9], twin)
+    grey = Stack(rng.random((1, 5, 7), np.float32), resolve_device("cpu"))
+    assert packing.pair_rows(grey, packing.pack(grey, None, 0.0)) is None
