@@ -34,7 +34,7 @@ class Format:
     Args:
         camera: Their camera.
         channels: 3 for RGB, 1 for grey.
-        dtype: "uint8" or "uint16".
+        dtype: "uint8", or "uint16" for grey.
 
     Raises:
         ValueError: If there are no such photos.
@@ -47,8 +47,10 @@ class Format:
     def __post_init__(self) -> None:
         if self.channels not in (1, 3):
             raise ValueError(f"channels must be 3 (RGB) or 1 (grey), got {self.channels!r}")
-        if self.dtype not in ("uint8", "uint16"):
-            raise ValueError(f'dtype must be "uint8" or "uint16", got {self.dtype!r}')
+        if self.dtype not in (("uint8",) if self.channels == 3 else ("uint8", "uint16")):
+            raise ValueError(
+                f'dtype must be "uint8", or "uint16" for grey photos, got {self.dtype!r}'
+            )
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -142,7 +144,7 @@ class PackedRing:
         camera = format.camera
         form = "grey16"
         if format.channels == 3:
-            form = "rgb16" if soft or format.dtype == "uint16" else "rgb8"
+            form = "rgb16" if soft else "rgb8"
         self._camera, self._brightening = camera, brightening
         self._photos = new_packed(frames, (camera.width, camera.height), format.scalar, form)
         words = self._photos.words

@@ -62,7 +62,8 @@ class RunningHue:
     """
 
     def __init__(self, slots: int, size: int, mask: MaskSettings, device: Any) -> None:
-        self._mask, self._seen = mask, np.zeros(slots, bool)
+        self._mask = mask
+        self._chroma, self._seen = np.zeros(slots), np.zeros(slots, bool)
         shape = sums_shape(size, device)
         self._sums = wp.zeros(shape, dtype=wp.int64, device=device)
         self._counts = RunningCounts(slots, shape[1])
@@ -84,11 +85,11 @@ class RunningHue:
         add_hues(pixels, valid, scale, how, self._sums)
         self._counts.replace(slot, self._sums.numpy())
         self._seen[slot] = True
-        own = self._mask.scope == "image"
-        row, _ = histogram_of(self._counts.each[slot] if own else self._counts.total, how)
-        _, chroma = histogram_of(self._counts.each, how)
-        mean = chroma[slot] if own else chroma[self._seen].mean()
-        return hue_statistics(row, float(mean), statistics=how, sigmas=self._mask.sigmas)
+        row, chroma = histogram_of(self._counts.each[slot], how)
+        self._chroma[slot] = chroma
+        if self._mask.scope == "flight":
+            row, chroma = self.histogram, self._chroma[self._seen].mean()
+        return hue_statistics(row, float(chroma), statistics=how, sigmas=self._mask.sigmas)
 
     @property
     def histogram(self) -> NDArray[np.float64]:
