@@ -20,6 +20,7 @@ ALLOWED = {
     "rarity_model": set(),
     "reference": {"camera", "surface"},
     "reference_coherence": {"camera", "surface", "reference"},
+    "reference_running": set(),
     "kernels": BASE,
     "nav": {"flight", "geodesy", "camera", "settings", "nav"},
     "detect": BASE | {"rarity_model"},
@@ -37,6 +38,7 @@ ALLOWED = {
     | {"photos", "masking", "kernels", "detect", "result", "rendering", "focusing", "viewing"}
     | {"finding"},
     "sweeping": BASE | {"photos", "masking", "kernels", "rendering", "viewing", "focusing"},
+    "live": BASE | {"kernels", "nav", "detect", "rendering", "formats", "photos", "cli_options"},
     "demo": BASE | {"formats"},
     "report": BASE | {"detect", "result", "sweeping"},
     "viewer": BASE

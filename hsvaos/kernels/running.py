@@ -37,7 +37,7 @@ def _with_weight(value: wp.vec3, weight: float, white: float) -> wp.vec4d:
 
 
 @wp.func
-def _with_weight(value: float, weight: float, white: float) -> wp.vec2d:  # noqa: F811
+def _with_weight(value: float, weight: float, white: float) -> wp.vec2d:
     share = wp.float64(weight) * wp.float64(WEIGHT_STEPS)
     return wp.vec2d(wp.round(wp.float64(value) * share / wp.float64(white)), wp.round(share))
 
@@ -49,7 +49,7 @@ def _mean(sums: wp.vec4d, white: wp.float64) -> wp.vec3:
 
 
 @wp.func
-def _mean(sums: wp.vec2d, white: wp.float64) -> float:  # noqa: F811
+def _mean(sums: wp.vec2d, white: wp.float64) -> float:
     return float(sums[0] * (white / sums[1]))
 
 
@@ -59,7 +59,7 @@ def _weight(sums: wp.vec4d) -> wp.float64:
 
 
 @wp.func
-def _weight(sums: wp.vec2d) -> wp.float64:  # noqa: F811
+def _weight(sums: wp.vec2d) -> wp.float64:
     return sums[1]
 
 

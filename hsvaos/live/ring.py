@@ -63,6 +63,12 @@ class Format:
         """Value of full white."""
         return 255.0 if self.dtype == "uint8" else 65535.0
 
+    def memory(self, device: Any) -> NDArray[Any]:
+        """Return memory for a photo on the host, pinned where it will go to CUDA."""
+        pinned = bool(device.is_cuda)
+        array: Any = wp.zeros(self.shape, dtype=self.scalar, device="cpu", pinned=pinned)
+        return np.asarray(array.numpy())
+
     @property
     def scalar(self) -> Any:
         """Warp type of a channel."""
@@ -115,17 +121,32 @@ class Out:
     Args:
         image: Warp array (H, W, C), float32.
         footprint: Warp array (H, W), float32.
+        on_host: The same in pinned memory, where the picture lies on CUDA.
     """
 
     image: Any
     footprint: Any
+    on_host: tuple[Any, Any] | None = None
 
     @classmethod
     def empty(cls, size: tuple[int, int], channels: int, device: Any) -> Out:
         """Return memory for a picture of a size (width, height)."""
         width, height = size
-        image = wp.zeros((height, width, channels), dtype=float, device=device)
-        return cls(image, wp.zeros((height, width), dtype=float, device=device))
+        shapes = ((height, width, channels), (height, width))
+        image, footprint = (wp.zeros(shape, dtype=float, device=device) for shape in shapes)
+        if device.is_cpu:
+            return cls(image, footprint)
+        host = [wp.zeros(shape, dtype=float, device="cpu", pinned=True) for shape in shapes]
+        return cls(image, footprint, (host[0], host[1]))
+
+    def numpy(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Wait for the device and return image and footprint, in memory that stays the same."""
+        if self.on_host is None:
+            return self.image.numpy(), self.footprint.numpy()
+        for source, target in zip((self.image, self.footprint), self.on_host, strict=True):
+            wp.copy(target, source)
+        wp.synchronize_device(self.image.device)
+        return self.on_host[0].numpy(), self.on_host[1].numpy()
 
 
 class PackedRing:
@@ -210,6 +231,6 @@ class PlainRing:
         self, poses: NDArray[np.float64], slots: NDArray[np.int32], points: Any, out: Out
     ) -> None:
         """See `Ring`."""
-        weights = (self._weights, 1.0 / 255.0)
-        where = (poses, self._gains, slots, NO_LIMIT, points)
-        gather(self._camera, self._stack, *weights, *where, out.image, out.footprint)
+        photos = (self._camera, self._stack, self._weights, 1.0 / 255.0)
+        where = (*photos, poses, self._gains, slots, NO_LIMIT, points)
+        gather(*where, out.image, out.footprint)

@@ -65,7 +65,7 @@ class RunningHue:
         self._mask = mask
         self._chroma, self._seen = np.zeros(slots), np.zeros(slots, bool)
         shape = sums_shape(size, device)
-        self._sums = wp.zeros(shape, dtype=wp.int64, device=device)
+        self._sums: Any = wp.zeros(shape, dtype=wp.int64, device=device)
         self._counts = RunningCounts(slots, shape[1])
 
     def measure(self, slot: int, pixels: Any, valid: Any, scale: Any) -> HueStatistics:
@@ -113,10 +113,10 @@ class RunningRarity:
     ) -> None:
         self._mask, self._colour = mask, channels == 3
         shape = counts_shape(size, channels, device)
-        self._bands = wp.zeros(shape, dtype=wp.int64, device=device)
+        self._bands: Any = wp.zeros(shape, dtype=wp.int64, device=device)
         self._counts = RunningCounts(slots, shape[1])
         self._tables = colour_tables(device)
-        self._table = wp.zeros(shape[1], dtype=wp.uint8, device=device)
+        self._table: Any = wp.zeros(shape[1], dtype=wp.uint8, device=device)
 
     def weigh(self, slot: int, pixels: Any, valid: Any, scale: Any, weights: Any) -> RarityModel:
         """Count a new photo's colours in place of a slot's, and weigh its pixels by the window.

@@ -20,6 +20,7 @@ from hsvaos.kernels.rays import focal_points
 from hsvaos.kernels.running import MOST_PHOTOS, RunningSums
 from hsvaos.live.ring import Format, Out, PackedRing, PlainRing, Ring
 from hsvaos.live.statistics import RunningHue, RunningRarity
+from hsvaos.rendering import sampling_distance
 from hsvaos.settings import MaskSettings
 from hsvaos.surface import FocalSurface
 
@@ -72,19 +73,25 @@ class Window:
                 "max_gain": mask.max_gain,
             }
         on_cpu = self.device.is_cpu if packed is None else packed
+        self._incoming: Stack | None = None
+        if not on_cpu:
+            staging = wp.zeros((1, *format.shape), dtype=format.scalar, device=self.device)
+            self._incoming = Stack(staging, self.device)
         self._ring: Ring = (
             PackedRing(format, frames, mask.method == "rarity", bright)
             if on_cpu
             else PlainRing(format, frames, bright, self.device)
         )
-        self._valid = wp.array(_checked_valid(valid, format), dtype=wp.uint8, device=self.device)
+        self._valid: Any = wp.array(
+            _checked_valid(valid, format), dtype=wp.uint8, device=self.device
+        )
         self._weights = wp.zeros(pixels, dtype=wp.uint8, device=self.device)
         self._poses = np.tile(np.eye(4), (frames, 1, 1))
         self._relative = np.tile(np.eye(4), (frames, 1, 1))
         self._scale = wp.vec3(1.0 / format.white)
         self._count, self._next = 0, 0
         self._one = Out.empty(size, format.channels, self.device)
-        self._points = wp.zeros(size[0] * size[1], dtype=wp.vec4, device=self.device)
+        self._points: Any = wp.zeros(size[0] * size[1], dtype=wp.vec4, device=self.device)
         self._sums = RunningSums(size[0] * size[1], format.channels, format.white, self.device)
         self._shown: tuple[VirtualCamera, FocalSurface] | None = None
         self._summed = False  # whether the sums hold the window as seen from what was shown
@@ -121,7 +128,7 @@ class Window:
         """Take in a photo, let the oldest go where the window is full, and integrate.
 
         Args:
-            image: One photo as the format says, C-contiguous; on the device, or on the host.
+            image: One photo as the format says, on the host.
             world_from_camera: Shape (4, 4), its pose.
             view: What to render. The same object as in the step before means that it rests.
             surface: Focal plane or terrain; likewise.
@@ -185,13 +192,21 @@ class Window:
         return self._relative
 
     def _photo(self, image: Any) -> Stack:
-        photo = Stack(image[None], self.device, "image")
+        photo = Stack(image[None], wp.get_device("cpu"), "image")
         if (photo.scalar, *photo.array.shape[1:]) != (self.format.scalar, *self.format.shape):
             raise ValueError(
                 f"image must have shape {self.format.shape} and type {self.format.dtype}, got "
                 f"{tuple(photo.array.shape[1:])} and {photo.scalar.__name__}"
             )
-        return photo
+        if self._incoming is None:
+            return photo
+        wp.copy(self._incoming.array, photo.array)
+        return self._incoming
+
+    def sampling_distance(self, view: VirtualCamera) -> float:
+        """Return the ground sampling distance of the picture shown last [m/px]."""
+        hits = self._points.numpy().reshape(self.size[1], self.size[0], 4)
+        return sampling_distance(view, hits)
 
     def _check_view(self, view: VirtualCamera) -> None:
         if not isinstance(view, VirtualCamera):
