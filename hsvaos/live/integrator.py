@@ -212,6 +212,11 @@ class LiveIntegrator:
             raise ValueError(f"t_s must be the time of exposure without a pose, got {t_s!r}")
         return self._inbox.put(photo, pose, float(t_s), arrived)
 
+    def newest(self) -> int:
+        """Return the number of the newest photo in the newest image; -1 before the first one."""
+        latest = self._latest
+        return -1 if latest is None else latest.number
+
     def latest(self) -> LiveResult | None:
         """Return a copy of the newest integral image; None before the first one.
 

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,10 +21,10 @@ class Strip:
 
 
 @pytest.fixture(scope="session")
-def strip() -> Iterator[Strip]:
+def strip() -> Strip:
     rng = np.random.default_rng(3)
     camera = Camera.from_fov(96, 72, 70.0)
     images = rng.integers(0, 256, (12, 72, 96, 3), dtype=np.uint8)
     poses = np.stack([looking_down(0.4 * i, 0.2 * i, 20.0) for i in range(12)])
     eye = Camera.from_fov(64, 48, 60.0)
-    yield Strip(camera, images, poses, VirtualCamera(eye, poses[5]), FocalPlane(0.0))
+    return Strip(camera, images, poses, VirtualCamera(eye, poses[5]), FocalPlane(0.0))

@@ -70,12 +70,12 @@ def test_the_view_may_rest_move_and_follow(strip: Strip) -> None:
             twin = Integrator(strip.camera, strip.images[part], strip.poses[part])
             assert decibel(result.image, twin.integrate(view, surface)[0], 255.0) > 60.0
         with pytest.raises(ValueError, match="view must have the size"):
-            live.look(strip.view.__class__(Camera.from_fov(9, 9, 50), strip.poses[0]))
+            live.look(VirtualCamera(Camera.from_fov(9, 9, 50), strip.poses[0]))
         with pytest.raises(TypeError, match="surface must be"):
             live.look(None, 3.0)  # type: ignore[arg-type]
-    with LiveIntegrator(strip.camera, view=strip.view, mask="none") as live:
-        with pytest.raises(ValueError, match="cannot follow"):
-            live.look(None)
+    resting = LiveIntegrator(strip.camera, view=strip.view, mask="none")
+    with resting, pytest.raises(ValueError, match="cannot follow"):
+        resting.look(None)
 
 
 def test_what_is_too_much_is_dropped_and_counted(strip: Strip) -> None:
