@@ -21,6 +21,11 @@ from hsvaos.nav.online import NoPoseError, OnlineFilter
 from hsvaos.settings import MaskSettings
 from hsvaos.surface import FocalPlane, FocalSurface, FocalTerrain
 
+_DOWN = np.array(
+    [[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, -20.0], [0.0, 0.0, 0.0, 1.0]]
+)
+"""A camera 20 m up that looks down, to warm up with."""
+
 
 @dataclass(frozen=True, eq=False)
 class LiveResult:
@@ -80,7 +85,7 @@ class LiveIntegrator:
     `push` copies a photo into a bounded queue and returns at once; a thread masks it, puts it into
     the ring of the newest photos and renders their integral image. Where more come than it can
     take, the oldest that waits is dropped and counted. All memory of the size of photos and
-    pictures is taken when the integrator is made.
+    pictures is taken when the integrator is made, and all kernels are compiled then.
 
     Args:
         camera: The camera of all photos.
@@ -142,6 +147,8 @@ class LiveIntegrator:
         self.look(view, FocalPlane(0.0) if surface is None else surface)
         self._inbox = Inbox(waiting, lambda: format.memory(self._window.device))
         self._outs = [Out.empty(shape, channels, self._window.device) for _ in range(2)]
+        eye = VirtualCamera(self._follow, _DOWN) if view is None else view
+        self._window.warm_up(eye, self._look[1], self._outs[0])
         self._lock = threading.Lock()
         self._latest: LiveResult | None = None
         self._every, self._on_result = detect_every, on_result

@@ -50,6 +50,11 @@ class RunningCounts:
         parts.sum(axis=0, out=self.each[slot])
         self.total += self.each[slot]
 
+    def clear(self) -> None:
+        """Forget all photos."""
+        self.each[:] = 0
+        self.total[:] = 0
+
 
 class RunningHue:
     """Hue statistics over the window.
@@ -90,6 +95,11 @@ class RunningHue:
         if self._mask.scope == "flight":
             row, chroma = self.histogram, self._chroma[self._seen].mean()
         return hue_statistics(row, float(chroma), statistics=how, sigmas=self._mask.sigmas)
+
+    def clear(self) -> None:
+        """Forget all photos."""
+        self._counts.clear()
+        self._seen[:] = False
 
     @property
     def histogram(self) -> NDArray[np.float64]:
@@ -135,6 +145,10 @@ class RunningRarity:
         self._table.assign(byte_table(model))
         weigh_photo(pixels, valid, scale, self._tables, self._table, weights)
         return model
+
+    def clear(self) -> None:
+        """Forget all photos."""
+        self._counts.clear()
 
     def model(self) -> RarityModel:
         """Return the model of the photos in the window."""

@@ -163,6 +163,27 @@ class Window:
             self._ring.gather(self._from(view), self.slots, self._points, out)
             self.regathers += 1
 
+    def warm_up(self, view: VirtualCamera, surface: FocalSurface, out: Out) -> None:
+        """Compile and load all kernels now, with black photos, and forget those.
+
+        Args:
+            view: A view of the window's size.
+            surface: Focal plane or terrain of the kind that will be used.
+            out: Where to write.
+        """
+        black = self.format.memory(self.device)
+        for _ in range(3):  # gathers, sums up, and adds to the sums
+            self.step(black, view.world_from_camera, view, surface, out)
+        self.forget()
+
+    def forget(self) -> None:
+        """Let all photos go."""
+        for statistics in (self._hue, self._rarity):
+            if statistics is not None:
+                statistics.clear()
+        self._count = self._next = self.regathers = 0
+        self._shown, self._summed, self.statistics = None, False, None
+
     def _take_in(self, slot: int, photo: Stack, pose: NDArray[np.float64]) -> None:
         pixels = photo.pixels[0]
         if self._hue is not None:
