@@ -21,6 +21,7 @@ from hsvaos.kernels.rarity import (
     counts_shape,
     weigh_photo,
 )
+from hsvaos.kernels.rarity_table import BinTable
 from hsvaos.rarity_model import CHROMA_BINS, LIGHTNESS_BINS, RarityModel, model_from_counts
 from hsvaos.settings import MaskSettings
 
@@ -126,6 +127,7 @@ class RunningRarity:
         self._bands: Any = wp.zeros(shape, dtype=wp.int64, device=device)
         self._counts = RunningCounts(slots, shape[1])
         self._tables = colour_tables(device)
+        self._fast = BinTable(size, device) if channels == 3 else None
         self._table: Any = wp.zeros(shape[1], dtype=wp.uint8, device=device)
 
     def weigh(self, slot: int, pixels: Any, valid: Any, scale: Any, weights: Any) -> RarityModel:
@@ -133,17 +135,23 @@ class RunningRarity:
 
         Args:
             slot: The slot.
-            pixels: Warp array (H * W) of pixels.
-            valid: Warp array (H * W), uint8.
+            pixels: Warp array (H * W) of pixels, 8 bit where they are RGB.
+            valid: Warp array (H * W), uint8, 0 or 255.
             scale: Vector that brings pixels to 0..1.
             weights: Warp array (H * W), uint8, written.
         """
         self._bands.zero_()
-        count_photo(pixels, valid, scale, self._tables, self._bands)
+        if self._fast is not None:
+            self._fast.count(pixels, valid, self._bands)
+        else:
+            count_photo(pixels, valid, scale, self._tables, self._bands)
         self._counts.replace(slot, self._bands.numpy())
         model = self.model()
         self._table.assign(byte_table(model))
-        weigh_photo(pixels, valid, scale, self._tables, self._table, weights)
+        if self._fast is not None:
+            self._fast.weigh(valid, self._table, weights)
+        else:
+            weigh_photo(pixels, valid, scale, self._tables, self._table, weights)
         return model
 
     def clear(self) -> None:
