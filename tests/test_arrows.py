@@ -38,12 +38,14 @@ ALLOWED = {
     | {"photos", "masking", "kernels", "detect", "result", "rendering", "focusing", "viewing"}
     | {"finding"},
     "sweeping": BASE | {"photos", "masking", "kernels", "rendering", "viewing", "focusing"},
-    "live": BASE | {"kernels", "nav", "detect", "rendering", "formats", "photos", "cli_options"},
+    "live": BASE
+    | {"kernels", "nav", "detect", "rendering", "formats", "photos", "focusing", "viewing"}
+    | {"cli_options"},
     "demo": BASE | {"formats"},
     "report": BASE | {"detect", "result", "sweeping"},
     "viewer": BASE
     | {"photos", "masking", "kernels", "result", "rendering", "focusing", "viewing", "report"}
-    | {"nav", "finding", "cli_options"},
+    | {"nav", "finding", "cli_options", "live"},
     "evaluate": BASE
     | {
         "detect",

@@ -5,16 +5,17 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hsvaos.camera import Camera, VirtualCamera, check_pose
-from hsvaos.live.detection import DetectionThread, LiveFinds, LooksForPeople
+from hsvaos.live.detection import DetectionThread, LooksForPeople
 from hsvaos.live.inbox import Arrival, Inbox
 from hsvaos.live.latency import Latencies
+from hsvaos.live.result import LiveResult, LiveStats
 from hsvaos.live.ring import Format, Out
 from hsvaos.live.window import Window
 from hsvaos.nav.online import NoPoseError, OnlineFilter
@@ -25,58 +26,6 @@ _DOWN = np.array(
     [[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, -20.0], [0.0, 0.0, 0.0, 1.0]]
 )
 """A camera 20 m up that looks down, to warm up with."""
-
-
-@dataclass(frozen=True, eq=False)
-class LiveResult:
-    """An integral image, as of one photo.
-
-    Args:
-        image: Shape (H, W, C), float32, in units of the photos; 0 where the footprint is.
-        footprint: Shape (H, W), float32, sum of weights.
-        number: Number of the newest photo in it, from 0, dropped ones counted.
-        t_s: Time of that photo [s]; NaN where none was given.
-        latency_s: From the call of `push` to the finished image [s].
-        frames: Photos in it.
-        view: The virtual camera it was rendered for.
-        finds: What the detector found last, in this image or an earlier one; None for nothing yet.
-    """
-
-    image: NDArray[np.float32]
-    footprint: NDArray[np.float32]
-    number: int
-    t_s: float
-    latency_s: float
-    frames: int
-    view: VirtualCamera
-    finds: LiveFinds | None
-
-
-@dataclass(frozen=True)
-class LiveStats:
-    """Counters of a flight.
-
-    Args:
-        arrived: Photos that came.
-        integrated: Photos that an integral image was made with.
-        dropped: Photos that gave way to newer ones while they waited.
-        without_pose: Photos that came before the navigator knew where it is.
-        detected: Integral images that were looked at.
-        detections_skipped: Integral images that were not, because the detector was busy.
-        latency: Count, p50_ms, p95_ms, p99_ms and max_ms from `push` to the image.
-        work: The same of the work alone, without waiting.
-        detection: The same of the detector.
-    """
-
-    arrived: int
-    integrated: int
-    dropped: int
-    without_pose: int
-    detected: int
-    detections_skipped: int
-    latency: dict[str, Any]
-    work: dict[str, Any]
-    detection: dict[str, Any]
 
 
 class LiveIntegrator:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import sys
+import threading
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
+
+from hsvaos.viewer.ports import free_port
 
 _SAFE = {"X-Content-Type-Options": "nosniff", "Cache-Control": "no-store"}
 
@@ -65,3 +68,34 @@ class Answers(BaseHTTPRequestHandler):
 
     def log_message(self, format: str, *args: Any) -> None:
         """Say nothing: the terminal belongs to the user."""
+
+
+class PageServer:
+    """A server that listens in a thread of its own.
+
+    Args:
+        handler: Answers requests.
+        host: Address to listen at.
+        port: Port to listen at; the next free one if it is taken.
+
+    Raises:
+        OSError: If the address or all ports from there cannot be used.
+    """
+
+    def __init__(self, handler: type[Answers], host: str, port: int) -> None:
+        self._server = QuietServer((host, free_port(host, port)), handler)
+        self.host, self.port = host, int(self._server.server_address[1])
+        self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
+        self._thread.start()
+
+    @property
+    def url(self) -> str:
+        """Where to point a browser."""
+        host = "localhost" if self.host in ("0.0.0.0", "::", "") else self.host
+        return f"http://{host}:{self.port}"
+
+    def close(self) -> None:
+        """Stop the server."""
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()

@@ -14,11 +14,10 @@ from urllib.parse import parse_qsl, urlsplit
 
 from hsvaos.camera import VirtualCamera
 from hsvaos.settings import MASKS
-from hsvaos.viewer.answers import Answers, QuietServer
+from hsvaos.viewer.answers import Answers, PageServer
 from hsvaos.viewer.geometry import fitted
 from hsvaos.viewer.live import Live
 from hsvaos.viewer.picture import jpeg, png
-from hsvaos.viewer.ports import free_port
 from hsvaos.viewer.render import Picture
 from hsvaos.viewer.request import LAYERS, Aperture, Focus, Look, Request
 from hsvaos.viewer.saving import settings_toml
@@ -29,7 +28,7 @@ _WAIT_S = 60.0
 _LONGEST_PX = 1280
 
 
-class PlainApp:
+class PlainApp(PageServer):
     """A small server of one page, its pictures and its settings.
 
     The page asks for one picture at a time and for the newest values, so a slow line gets fewer
@@ -50,23 +49,12 @@ class PlainApp:
         class Handler(_Handler):
             app = self
 
-        self._server = QuietServer((host, free_port(host, port)), Handler)
-        self.host, self.port = host, int(self._server.server_address[1])
-        self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
-        self._thread.start()
-
-    @property
-    def url(self) -> str:
-        """Where to point a browser."""
-        host = "localhost" if self.host in ("0.0.0.0", "::", "") else self.host
-        return f"http://{host}:{self.port}"
+        super().__init__(Handler, host, port)
 
     def close(self) -> None:
         """Drop all work and stop the server."""
         self.live.close()
-        self._server.shutdown()
-        self._server.server_close()
-        self._thread.join()
+        super().close()
 
     def page(self) -> bytes:
         """Return the page."""

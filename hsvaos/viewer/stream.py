@@ -14,9 +14,8 @@ from string import Template
 from typing import Any
 from urllib.parse import parse_qsl, urlsplit
 
-from hsvaos.viewer.answers import Answers, QuietServer
+from hsvaos.viewer.answers import Answers, PageServer
 from hsvaos.viewer.picture import Rgb, jpeg
-from hsvaos.viewer.ports import free_port
 
 _PAGE = Path(__file__).with_name("stream.html")
 _PATIENCE_S = 10.0
@@ -36,7 +35,7 @@ class Shown:
     status: dict[str, Any] = field(default_factory=dict)
 
 
-class Stream:
+class Stream(PageServer):
     """A small server of one page that shows the newest picture.
 
     The page asks for the next picture when it has one, so that a slow line gets fewer, never late
@@ -67,16 +66,7 @@ class Stream:
         class Handler(_Handler):
             stream = self
 
-        self._server = QuietServer((host, free_port(host, port)), Handler)
-        self.host, self.port = host, int(self._server.server_address[1])
-        self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
-        self._thread.start()
-
-    @property
-    def url(self) -> str:
-        """Where to point a browser."""
-        host = "localhost" if self.host in ("0.0.0.0", "::", "") else self.host
-        return f"http://{host}:{self.port}"
+        super().__init__(Handler, host, port)
 
     def page(self) -> bytes:
         """Return the page."""
@@ -96,9 +86,7 @@ class Stream:
     def close(self) -> None:
         """Stop the server."""
         self._closed.set()
-        self._server.shutdown()
-        self._server.server_close()
-        self._thread.join()
+        super().close()
 
 
 class _Handler(Answers):

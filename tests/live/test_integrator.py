@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from hsvaos import Camera, Detections, FocalPlane, Integrator, LiveIntegrator, VirtualCamera
-from hsvaos.live.integrator import LiveResult, following
+from hsvaos.live.integrator import following
+from hsvaos.live.result import LiveResult
 from hsvaos.nav.error_state_ekf import ErrorStateEkf
 from hsvaos.nav.online import OnlineFilter
 from hsvaos.settings import MaskSettings
