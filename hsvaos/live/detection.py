@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import sys
 import threading
 import time
 from dataclasses import dataclass
@@ -81,8 +83,9 @@ class DetectionThread:
             self._changed.notify_all()
 
     def _work(self) -> None:
-        if hasattr(os, "setpriority"):
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _POLITE)
+        if sys.platform == "linux":  # elsewhere threads have no niceness of their own
+            with contextlib.suppress(OSError):
+                os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _POLITE)
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._busy or self._closed)

@@ -209,7 +209,8 @@ class OnlineFilter:
         """Keep a measurement in order of time; refuse what speaks of a time committed."""
         about = t_s - self._latency[sensor]
         committed = self._state is not None and about < self._state.t_s
-        if committed or not np.isfinite(t_s) or not np.isfinite(row[: min(3, len(row))]).all():
+        # a fix may lack its position or its velocity, not both
+        if committed or not np.isfinite(t_s) or not np.isfinite(row[:6]).any():
             self.refused += 1
             return False
         later: list[Sample] = []
@@ -237,13 +238,13 @@ class OnlineFilter:
         """Find the start; try again with more of the log if that cannot be."""
         try:
             initial = align(log, self.ekf)
-        except (ValueError, np.linalg.LinAlgError) as error:
+        except Exception as error:  # a log too short or too odd: more of it may do
             with self._lock:
-                self.notes = (*self.notes, f"start: not found yet ({error})")
+                self.notes = (f"start: not found yet ({error})",)
                 self._moving_since = self._aligning = None
             return
         with self._lock:
-            self._initial, self.notes = initial, (*self.notes, *initial.notes)
+            self._initial, self.notes = initial, initial.notes
             self._forget(initial.t_s)
             self._state = self._first(initial)
 

@@ -139,3 +139,19 @@ def test_what_makes_no_sense_is_refused() -> None:
         OnlineFilter().add_imu(0.0, np.zeros(2), np.zeros(3))
     with pytest.raises(ValueError, match="position must be 3 numbers"):
         OnlineFilter().add_gnss(0.0, np.zeros((1, 3)))
+
+
+def test_a_start_that_cannot_be_found_is_looked_for_again() -> None:
+    """Fixes that move, but an IMU that was never there: said, and tried again with more."""
+    online = OnlineFilter(align_s=1.0)
+    for i in range(15):
+        online.add_gnss(0.1 * i, np.zeros(3), np.array([5.0, 0.0, 0.0]))
+    online.wait(60.0)
+    assert not online.ready
+    assert "not found yet" in online.notes[0]
+    for i in range(15, 60):
+        online.add_gnss(0.1 * i, np.zeros(3), np.array([5.0, 0.0, 0.0]))
+        online.wait(60.0)
+    assert len(online.notes) == 1
+    online.add_gnss(6.0, np.full(3, np.nan), np.full(3, np.nan))
+    assert online.refused == 1
