@@ -273,8 +273,17 @@ class LiveIntegrator:
         end = time.monotonic()
         finds = None if self._finder is None else self._finder.latest
         latency = end - arrival.arrived_s
-        place = (arrival.number, arrival.t_s, latency, len(self._window), view, finds)
-        result = LiveResult(image, footprint, *place)
+        result = LiveResult(
+            image,
+            footprint,
+            arrival.number,
+            arrival.t_s,
+            latency,
+            len(self._window),
+            view,
+            self._window.statistics,
+            finds,
+        )
         with self._lock:
             self._latest = result
             self._integrated += 1

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hsvaos.camera import VirtualCamera
+from hsvaos.hue_statistics import HueStatistics
 from hsvaos.live.detection import LiveFinds
 
 
@@ -24,6 +25,7 @@ class LiveResult:
         latency_s: From the call of `push` to the finished image [s].
         frames: Photos in it.
         view: The virtual camera it was rendered for.
+        hue: What was cut from the newest photo; None under another mask than "hue".
         finds: What the detector found last, in this image or an earlier one; None for nothing yet.
     """
 
@@ -34,6 +36,7 @@ class LiveResult:
     latency_s: float
     frames: int
     view: VirtualCamera
+    hue: HueStatistics | None
     finds: LiveFinds | None
 
 

@@ -254,7 +254,9 @@ def test_hue_statistics_are_those_of_the_window(strip: Strip) -> None:
             live.push(strip.images[i], strip.poses[i])
             assert live.drain(60.0)
         expected = measure_hue(strip.images[6:10], 1.0, scope="flight")[0][0]
-        found = live.window.statistics
+        result = live.latest()
+    assert result is not None
+    found = result.hue
     assert found is not None
     assert found.mean_deg == pytest.approx(expected.mean_deg)
     assert found.sigma_deg == pytest.approx(expected.sigma_deg)
