@@ -290,7 +290,7 @@ class LiveIntegrator:
             self._latencies.add(latency)
             self.recent.add(latency)
         if self._finder is not None and (self._integrated - 1) % self._every == 0:
-            gsd_m = self._window.sampling_distance(view)
+            gsd_m = self._window.sampling_distance()
             self._finder.offer(arrival.number, image, footprint, gsd_m)
         if self._on_result is not None:
             self._on_result(result)

@@ -22,6 +22,7 @@ from hsvaos.kernels.hue_mask import cut_photo
 from hsvaos.kernels.hue_pack import cut_and_pack_photo, cut_job
 from hsvaos.kernels.packing import empty_packed, new_packed, pack_over
 from hsvaos.kernels.tiles import gather_tiles
+from hsvaos.live.sight import Sight
 
 NO_LIMIT = 1e15
 """Radius of an aperture without limit [m]."""
@@ -102,14 +103,14 @@ class Ring(Protocol):
         """
 
     def gather(
-        self, poses: NDArray[np.float64], slots: NDArray[np.int32], points: Any, out: Out
+        self, poses: NDArray[np.float64], slots: NDArray[np.int32], sight: Sight, out: Out
     ) -> None:
-        """Integrate the photos of some slots at given points.
+        """Integrate the photos of some slots.
 
         Args:
-            poses: Shape (N, 4, 4), of all slots, relative to the points' origin.
+            poses: Shape (N, 4, 4), of all slots, relative to the view's centre.
             slots: The slots to use.
-            points: Warp array (H * W) of vec4, see `kernels.rays.focal_points`.
+            sight: What is looked at.
             out: Where to write.
         """
 
@@ -184,11 +185,10 @@ class PackedRing:
         cut_and_pack_photo(job, 0, photo.pixels[0], valid, wp.vec3(1.0 / photo.white), stats, mask)
 
     def gather(
-        self, poses: NDArray[np.float64], slots: NDArray[np.int32], points: Any, out: Out
+        self, poses: NDArray[np.float64], slots: NDArray[np.int32], sight: Sight, out: Out
     ) -> None:
         """See `Ring`."""
-        size = (out.footprint.shape[1], out.footprint.shape[0])
-        where = (poses, self._gains, slots, NO_LIMIT, points, size)
+        where = (poses, self._gains, slots, NO_LIMIT, sight.points, sight.size)
         gather_tiles(self._camera, self._photos, *where, out.image, out.footprint)
 
 
@@ -228,9 +228,9 @@ class PlainRing:
             brighten(held, keep, **self._brightening, out=held)
 
     def gather(
-        self, poses: NDArray[np.float64], slots: NDArray[np.int32], points: Any, out: Out
+        self, poses: NDArray[np.float64], slots: NDArray[np.int32], sight: Sight, out: Out
     ) -> None:
         """See `Ring`."""
         photos = (self._camera, self._stack, self._weights, 1.0 / 255.0)
-        where = (*photos, poses, self._gains, slots, NO_LIMIT, points)
+        where = (*photos, poses, self._gains, slots, NO_LIMIT, sight.points)
         gather(*where, out.image, out.footprint)

@@ -16,11 +16,10 @@ from hsvaos.camera import VirtualCamera, check_pose
 from hsvaos.hue_statistics import HueStatistics
 from hsvaos.kernels.arrays import Stack
 from hsvaos.kernels.device import resolve_device
-from hsvaos.kernels.rays import focal_points
 from hsvaos.kernels.running import MOST_PHOTOS, RunningSums
 from hsvaos.live.ring import Format, Out, PackedRing, PlainRing, Ring
+from hsvaos.live.sight import Sight
 from hsvaos.live.statistics import RunningHue, RunningRarity
-from hsvaos.rendering import sampling_distance
 from hsvaos.settings import MaskSettings
 from hsvaos.surface import FocalSurface
 
@@ -91,9 +90,8 @@ class Window:
         self._scale = wp.vec3(1.0 / format.white)
         self._count, self._next = 0, 0
         self._one = Out.empty(size, format.channels, self.device)
-        self._points: Any = wp.zeros(size[0] * size[1], dtype=wp.vec4, device=self.device)
+        self._sight = Sight(size, self.device)
         self._sums = RunningSums(size[0] * size[1], format.channels, format.white, self.device)
-        self._shown: tuple[VirtualCamera, FocalSurface] | None = None
         self._summed = False  # whether the sums hold the window as seen from what was shown
         self.statistics: HueStatistics | None = None
         self.regathers = 0
@@ -140,27 +138,24 @@ class Window:
         """
         pose = check_pose(world_from_camera, "world_from_camera")
         photo = self._photo(image)
-        self._check_view(view)
-        rests = self._shown is not None and self._shown[0] is view and self._shown[1] is surface
-        if not rests:
-            focal_points(view, surface, out=self._points, device=self.device)
-            self._shown, self._summed = (view, surface), False
+        rests = self._sight.turn(view, surface)
+        self._summed = self._summed and rests
         slot = self._next % self.frames
         if self._summed and self._count == self.frames:
-            self._sum(slot, view, -1)
+            self._sum(slot, -1)
         self._take_in(slot, photo, pose)
         if self._summed:
-            self._sum(slot, view, 1)
+            self._sum(slot, 1)
         elif rests:  # for the second time: worth summing up from here on
             self._sums.clear()
             for each in self.slots:
-                self._sum(int(each), view, 1)
+                self._sum(int(each), 1)
             self._summed = True
             self.regathers += 1
         if self._summed:
             self._sums.mean(out.image, out.footprint)
         else:
-            self._ring.gather(self._from(view), self.slots, self._points, out)
+            self._ring.gather(self._relative_poses(), self.slots, self._sight, out)
             self.regathers += 1
 
     def warm_up(self, view: VirtualCamera, surface: FocalSurface, out: Out) -> None:
@@ -182,13 +177,14 @@ class Window:
             if statistics is not None:
                 statistics.clear()
         self._count = self._next = self.regathers = 0
-        self._shown, self._summed, self.statistics = None, False, None
+        self._sight.forget()
+        self._summed, self.statistics = False, None
 
     def _take_in(self, slot: int, photo: Stack, pose: NDArray[np.float64]) -> None:
         pixels = photo.pixels[0]
         if self._hue is not None:
             self.statistics = self._hue.measure(slot, pixels, self._valid, self._scale)
-            self._cut(slot, photo, self.statistics)
+            self._ring.put_cut(slot, photo, self.statistics, self._valid, self._weights)
         elif self._rarity is not None:
             self._rarity.weigh(slot, pixels, self._valid, self._scale, self._weights)
             self._ring.put(slot, photo, self._weights)
@@ -198,18 +194,15 @@ class Window:
         self._next += 1
         self._count = min(self._count + 1, self.frames)
 
-    def _cut(self, slot: int, photo: Stack, stats: HueStatistics) -> None:
-        self._ring.put_cut(slot, photo, stats, self._valid, self._weights)
-
-    def _sum(self, slot: int, view: VirtualCamera, sign: int) -> None:
+    def _sum(self, slot: int, sign: int) -> None:
         only = np.array([slot], np.int32)
-        self._ring.gather(self._from(view), only, self._points, self._one)
+        self._ring.gather(self._relative_poses(), only, self._sight, self._one)
         self._sums.add(self._one.image, self._one.footprint, sign)
 
-    def _from(self, view: VirtualCamera) -> NDArray[np.float64]:
+    def _relative_poses(self) -> NDArray[np.float64]:
         """Poses relative to the view's centre, where float32 is exact."""
         np.copyto(self._relative, self._poses)
-        self._relative[:, :3, 3] -= view.world_from_camera[:3, 3]
+        self._relative[:, :3, 3] -= self._sight.view.world_from_camera[:3, 3]
         return self._relative
 
     def _photo(self, image: Any) -> Stack:
@@ -224,16 +217,9 @@ class Window:
         wp.copy(self._incoming.array, photo.array)
         return self._incoming
 
-    def sampling_distance(self, view: VirtualCamera) -> float:
-        """Return the ground sampling distance of the picture shown last [m/px]."""
-        hits = self._points.numpy().reshape(self.size[1], self.size[0], 4)
-        return sampling_distance(view, hits)
-
-    def _check_view(self, view: VirtualCamera) -> None:
-        if not isinstance(view, VirtualCamera):
-            raise TypeError(f"view must be a VirtualCamera, got {type(view).__name__}")
-        if view.size != self.size:
-            raise ValueError(f"view must have the window's size {self.size}, got {view.size}")
+    def sampling_distance(self) -> float:
+        """Return the ground sampling distance of the picture made last [m/px]."""
+        return self._sight.sampling_distance()
 
 
 def _check_mask(mask: MaskSettings, format: Format) -> None:
