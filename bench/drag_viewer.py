@@ -15,7 +15,6 @@ import sys
 import threading
 import time
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,6 +23,7 @@ import hsvaos
 from bench.viewer_browser import page
 from hsvaos.demo import FOLDER
 from hsvaos.kernels.device import quiet_start
+from hsvaos.live.memory import resident_mb
 from hsvaos.viewer.app import App
 from hsvaos.viewer.controls import LAYER_NAMES, PLACES
 from hsvaos.viewer.render import Picture
@@ -37,14 +37,6 @@ CHECK_EVERY_S = 20.0
 SETTLE_S = 60.0
 MOST_GROWTH = 0.05
 METHODS = ("hue", "rarity", "anomaly", "none")
-
-
-def resident_mb() -> float:
-    """Memory of this process [MB]."""
-    line = next(
-        line for line in Path("/proc/self/status").read_text().splitlines() if "VmRSS" in line
-    )
-    return int(line.split()[1]) / 1024.0
 
 
 class Watch:

@@ -28,8 +28,10 @@ if TYPE_CHECKING:
     from hsvaos.kernels.rarity import rarity_weights as rarity_weights
     from hsvaos.kernels.sweep import best_focus as best_focus
     from hsvaos.kernels.sweep import focus_measure as focus_measure
+    from hsvaos.live.integrator import LiveIntegrator as LiveIntegrator
     from hsvaos.nav.error_state_ekf import ErrorStateEkf as ErrorStateEkf
     from hsvaos.nav.estimate import estimate_trajectory as estimate_trajectory
+    from hsvaos.nav.online import OnlineFilter as OnlineFilter
     from hsvaos.nav.paper_ekf import PaperEkf as PaperEkf
     from hsvaos.nav.smoother import smooth as smooth
     from hsvaos.nav.trajectory import Trajectory as Trajectory
@@ -43,6 +45,7 @@ __version__ = "0.1.0"
 
 _HOME = {
     "Integrator": "hsvaos.kernels.integrate",
+    "LiveIntegrator": "hsvaos.live.integrator",
     "hue_masks": "hsvaos.kernels.hue_mask",
     "rarity_weights": "hsvaos.kernels.rarity",
     "rgb_to_hsv": "hsvaos.kernels.color",
@@ -65,6 +68,7 @@ _HOME = {
     "Origin": "hsvaos.flight",
     "open_flight": "hsvaos.formats.open",
     "ErrorStateEkf": "hsvaos.nav.error_state_ekf",
+    "OnlineFilter": "hsvaos.nav.online",
     "PaperEkf": "hsvaos.nav.paper_ekf",
     "Trajectory": "hsvaos.nav.trajectory",
     "estimate_trajectory": "hsvaos.nav.estimate",

@@ -33,6 +33,7 @@ from hsvaos.cli_options import (
     settings_of,
 )
 from hsvaos.detect import command as detection
+from hsvaos.live.command import live
 from hsvaos.nav.command import nav
 from hsvaos.simulate.command import simulate
 from hsvaos.viewer.command import view as view_command
@@ -52,6 +53,7 @@ app = typer.Typer(
 
 
 app.command()(detection.detect)
+app.command()(live)
 app.command()(nav)
 app.command()(simulate)
 app.command("view")(view_command)

@@ -99,13 +99,13 @@ def load_photos(
     photos = photos_ahead(flight, on_error=lambda frame, error: faults.append((frame, error)))
     for index, photo in enumerate(photos):
         if photo is not None:
-            image = _resized(photo.image, width, height)
+            image = resized(photo.image, width, height)
             if images is None:
                 shape = (len(flight), *image.shape)
                 _check_memory(shape, image.dtype.itemsize, flight)
                 images = wp.empty(shape, dtype=scalar_type(image.dtype), device=device)
             if photo.alpha is not None:
-                masks[len(good)] = _resized(photo.alpha, width, height)
+                masks[len(good)] = resized(photo.alpha, width, height)
             images[len(good)].assign(np.ascontiguousarray(image))
             good.append(index)
         if progress is not None:
@@ -129,7 +129,8 @@ def load_photos(
     return Photos(kept, images[: len(good)], valid, tuple(notes))
 
 
-def _resized(image: NDArray[Any], width: int, height: int) -> NDArray[Any]:
+def resized(image: NDArray[Any], width: int, height: int) -> NDArray[Any]:
+    """Return a photo or mask shrunk to a size [px]; itself where it has that size."""
     if image.shape[:2] == (height, width):
         return image
     return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)

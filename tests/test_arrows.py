@@ -20,6 +20,7 @@ ALLOWED = {
     "rarity_model": set(),
     "reference": {"camera", "surface"},
     "reference_coherence": {"camera", "surface", "reference"},
+    "reference_running": set(),
     "kernels": BASE,
     "nav": {"flight", "geodesy", "camera", "settings", "nav"},
     "detect": BASE | {"rarity_model"},
@@ -37,12 +38,15 @@ ALLOWED = {
     | {"photos", "masking", "kernels", "detect", "result", "rendering", "focusing", "viewing"}
     | {"finding"},
     "sweeping": BASE | {"photos", "masking", "kernels", "rendering", "viewing", "focusing"},
+    "live": BASE
+    | {"kernels", "nav", "detect", "rendering", "formats", "photos", "focusing", "viewing"}
+    | {"cli_options"},
     "demo": BASE | {"formats"},
     "benchmark": BASE | {"kernels", "cli_options", "summary"},
     "report": BASE | {"detect", "result", "sweeping"},
     "viewer": BASE
     | {"photos", "masking", "kernels", "result", "rendering", "focusing", "viewing", "report"}
-    | {"nav", "finding", "cli_options"},
+    | {"nav", "finding", "cli_options", "live"},
     "evaluate": BASE
     | {
         "detect",

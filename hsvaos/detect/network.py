@@ -57,17 +57,24 @@ class Network:
         model: File of the network, or its content.
         provider: Where to run it: a name in `PROVIDERS` or one of onnxruntime's; by default the
             first of CUDA, TensorRT and CPU that this machine has.
+        threads: CPU threads that it uses; by default one a core. With 1 it runs in the thread of
+            the caller, under that thread's priority.
 
     Raises:
         ValueError: If there is no such file, it is no ONNX network, or the provider is not there.
     """
 
-    def __init__(self, model: str | Path | bytes, provider: str | None = None) -> None:
+    def __init__(
+        self,
+        model: str | Path | bytes,
+        provider: str | None = None,
+        threads: int | None = None,
+    ) -> None:
         self.name = "model" if isinstance(model, bytes) else str(model)
         content = model if isinstance(model, bytes) else _read(Path(model))
         wanted = _providers(provider)
         try:
-            self._session = _started(content, wanted)
+            self._session = _started(content, wanted, threads or 0)
             self.inputs = tuple(_port(one) for one in self._session.get_inputs())
             self.outputs = tuple(_port(one) for one in self._session.get_outputs())
             self.metadata: dict[str, str] = dict(self._session.get_modelmeta().custom_metadata_map)
@@ -130,9 +137,10 @@ class Network:
         }
 
 
-def _started(content: bytes, providers: list[str]) -> Any:
+def _started(content: bytes, providers: list[str], threads: int) -> Any:
     """A session on the first of the providers that can be started."""
     options = ort.SessionOptions()
+    options.intra_op_num_threads = threads
     options.log_severity_level = 4  # what goes wrong is said here, in our words
     try:
         # onnxruntime's own way back to the CPU prints
@@ -140,7 +148,7 @@ def _started(content: bytes, providers: list[str]) -> Any:
     except Exception:  # onnxruntime's errors have no class in common
         if len(providers) == 1:
             raise
-        return _started(content, providers[1:])
+        return _started(content, providers[1:], threads)
 
 
 def _read(path: Path) -> bytes:

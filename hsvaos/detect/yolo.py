@@ -51,6 +51,7 @@ class Detector:
             our own networks, which scale nothing.
         provider: "cuda", "tensorrt" or "cpu"; by default the first one that is here.
         max_finds: People kept in a view.
+        threads: CPU threads that the network uses; by default one a core.
 
     Raises:
         ValueError: If the network cannot be read, has no known layout or no person, or an argument
@@ -70,6 +71,7 @@ class Detector:
         slice_px: int | None = None,
         provider: str | None = None,
         max_finds: int = 300,
+        threads: int | None = None,
     ) -> None:
         if model is None:
             if not PACKAGED.is_file():
@@ -78,7 +80,9 @@ class Detector:
                     f"give an ONNX file as model"
                 )
             model = PACKAGED
-        self._network = Network(model, provider)
+        self._network = Network(
+            model, provider, None if threads is None else _count(threads, "threads", 1)
+        )
         self._layout, shapes = layout_of(self._network, layout)
         self.layout, self.provider = self._layout.name, self._network.provider
         text = self._network.metadata.get("names")

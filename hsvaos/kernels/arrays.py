@@ -45,7 +45,8 @@ def to_array(values: Any, device: Any, name: str) -> Any:
             host = host.astype(np.uint8) * np.uint8(255)
         if host.dtype.name not in _SCALARS:
             raise TypeError(f"{name} must be uint8, uint16 or float32, got {host.dtype.name}")
-        host = np.ascontiguousarray(host)
+        # image[None] has a stride of 0, which Warp would take for a gap and copy pixel by pixel
+        host = np.ascontiguousarray(host).reshape(-1).reshape(host.shape)
         if not host.flags.writeable:  # Warp takes no read-only memory without a copy
             host = host.copy()
         array = wp.array(host, dtype=_SCALARS[host.dtype.name], device="cpu", copy=False)

@@ -125,22 +125,54 @@ def hue_histograms(
     stack.require_colour()
     masks = valid_array(valid, stack)
     require_unit_range(stack)
-    on_cpu = stack.device.is_cpu
-    parts = count_bands(stack.size, stack.device) if on_cpu else 1
-    shape = (stack.count, parts, _SUMS)
-    sums = wp.zeros(shape, dtype=wp.int64, device=stack.device)
-    circular = int(statistics == "circular")
+    sums = wp.zeros(
+        (stack.count, *sums_shape(stack.size, stack.device)), dtype=wp.int64, device=stack.device
+    )
     scales = pixel_scales(stack, gains)
     for i in range(stack.count):
-        inputs = [scales[i], circular, stack.pixels[i], masks[i % masks.shape[0]], sums[i]]
-        if on_cpu:
-            count_hues(stack.pixels[i], stack.size, inputs, stack.device)
-        else:
-            launch(_histogram_kernel(stack.pixel), stack.size, inputs, stack.device)
-    totals = sums.numpy().sum(axis=1).astype(np.float64)
-    unit = _UNIT if circular else 1.0
-    chroma = totals[:, BINS] / _UNIT / np.maximum(totals[:, BINS + 1], 1.0)
-    return totals[:, :BINS] / unit, chroma
+        valid_row = masks[i % masks.shape[0]]
+        add_hues(stack.pixels[i], valid_row, scales[i], statistics, sums[i])
+    return histogram_of(sums.numpy().sum(axis=1), statistics)
+
+
+def sums_shape(size: int, device: Any) -> tuple[int, int]:
+    """Return the shape of the accumulators of an image of a size [px]: one row a band."""
+    return count_bands(size, device) if device.is_cpu else 1, _SUMS
+
+
+def add_hues(pixels: Any, valid: Any, scale: Any, statistics: str, sums: Any) -> None:
+    """Add the hues of an image to whole-number accumulators.
+
+    Args:
+        pixels: Warp array (H * W) of RGB pixels.
+        valid: Warp array (H * W), uint8.
+        scale: Vector that brings pixels to 0..1, see `arrays.pixel_scales`.
+        statistics: "circular" or "linear".
+        sums: Warp array of `sums_shape`, int64, added to.
+    """
+    inputs = [scale, int(statistics == "circular"), pixels, valid, sums]
+    if pixels.device.is_cpu:
+        count_hues(pixels, pixels.size, inputs, pixels.device)
+    else:
+        launch(_histogram_kernel(pixels.dtype), pixels.size, inputs, pixels.device)
+
+
+def histogram_of(
+    sums: NDArray[np.int64], statistics: str
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return hue histograms and mean chroma from accumulators.
+
+    Args:
+        sums: Shape (..., 1442), summed over bands.
+        statistics: "circular" or "linear".
+
+    Returns:
+        histograms, shape (..., 1440), and the mean chroma, shape (...).
+    """
+    totals = sums.astype(np.float64)
+    unit = _UNIT if statistics == "circular" else 1.0
+    chroma = totals[..., BINS] / _UNIT / np.maximum(totals[..., BINS + 1], 1.0)
+    return totals[..., :BINS] / unit, chroma
 
 
 def apply_hue_cut(
@@ -170,16 +202,27 @@ def apply_hue_cut(
     target = pixel_view(result, wp.uint8, (stack.count, stack.size))
     scales = pixel_scales(stack, gains)
     for i, s in enumerate(stats):
-        half_width = s.half_width_deg if s.informative else -1.0
-        inputs = [
-            *(scales[i], int(s.statistics == "circular"), s.mean_deg, half_width),
-            *(stack.pixels[i], masks[i % masks.shape[0]], target[i]),
-        ]
-        if stack.device.is_cpu:
-            cut_hues(stack.pixels[i], stack.size, inputs, stack.device)
-        else:
-            launch(_mask_kernel(stack.pixel), stack.size, inputs, stack.device)
+        cut_photo(stack.pixels[i], masks[i % masks.shape[0]], scales[i], s, target[i])
     return like_input(result, images) if out is None else out
+
+
+def cut_photo(pixels: Any, valid: Any, scale: Any, stats: HueStatistics, mask: Any) -> None:
+    """Write the mask of one image.
+
+    Args:
+        pixels: Warp array (H * W) of RGB pixels.
+        valid: Warp array (H * W), uint8, multiplied in.
+        scale: Vector that brings pixels to 0..1, see `arrays.pixel_scales`.
+        stats: What to cut.
+        mask: Warp array (H * W), uint8, written.
+    """
+    half_width = stats.half_width_deg if stats.informative else -1.0
+    circular = int(stats.statistics == "circular")
+    inputs = [scale, circular, stats.mean_deg, half_width, pixels, valid, mask]
+    if pixels.device.is_cpu:
+        cut_hues(pixels, pixels.size, inputs, pixels.device)
+    else:
+        launch(_mask_kernel(pixels.dtype), pixels.size, inputs, pixels.device)
 
 
 def measure_hue(

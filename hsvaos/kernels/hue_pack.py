@@ -168,20 +168,53 @@ def cut_and_pack(
     target = pixel_view(result, wp.uint8, (stack.count, stack.size))
     levels = check_gains(gains, stack)
     packed, pack_job = empty_packed(stack, "rgb8", photos)
+    job = cut_job(pack_job, 0 if valid is None else stack.width, brightening)
+    for i, s in enumerate(stats):
+        scale = wp.vec3(*(levels[i] / stack.white))
+        cut_and_pack_photo(job, i, stack.pixels[i], masks[i % masks.shape[0]], scale, s, target[i])
+    return result, packed
+
+
+def cut_job(pack: PackJob, valid_step: int, brightening: dict[str, float] | None) -> CutJob:
+    """Return what all photos of a cut share.
+
+    Args:
+        pack: Where to pack to.
+        valid_step: Pixels from one row of the user mask to the next; 0 where one row serves all.
+        brightening: See `cut_and_pack`.
+
+    Raises:
+        ValueError: If the brightening makes no sense.
+    """
     job = CutJob()
-    job.pack = pack_job
-    job.valid_step = 0 if valid is None else stack.width
+    job.pack = pack
+    job.valid_step = valid_step
     if brightening is not None:
         check_brightening(**brightening)
         job.over_target = 1.0 / brightening["target_value"]
         job.power = brightening["gamma"] - 1.0
         job.most = math.log2(brightening["max_gain"])
-    kernel = _cut_and_pack_kernel(brightening is not None)
-    for i, s in enumerate(stats):
-        job.scale = wp.vec3(*(levels[i] / stack.white))
-        job.circular = int(s.statistics == "circular")
-        job.mean = s.mean_deg
-        job.half_width = s.half_width_deg if s.informative else -1.0
-        inputs = [i, job, stack.pixels[i], masks[i % masks.shape[0]], target[i]]
-        launch(kernel, stack.height + 2, inputs, stack.device, ROW_GRAIN)
-    return result, packed
+    return job
+
+
+def cut_and_pack_photo(
+    job: CutJob, frame: int, pixels: Any, valid: Any, scale: Any, stats: HueStatistics, mask: Any
+) -> None:
+    """Cut, brighten and pack one photo.
+
+    Args:
+        job: From `cut_job`.
+        frame: Its place among the packed photos.
+        pixels: Warp array (H * W) of vec3ub, on the CPU.
+        valid: Warp array (H * W or W), uint8, user mask of 0 and 255.
+        scale: Vector that brings pixels to 0..1, see `arrays.pixel_scales`.
+        stats: What to cut.
+        mask: Warp array (H * W), uint8, written.
+    """
+    job.scale = scale
+    job.circular = int(stats.statistics == "circular")
+    job.mean = stats.mean_deg
+    job.half_width = stats.half_width_deg if stats.informative else -1.0
+    kernel = _cut_and_pack_kernel(job.over_target > 0.0)
+    inputs = [frame, job, pixels, valid, mask]
+    launch(kernel, job.pack.height + 2, inputs, pixels.device, ROW_GRAIN)

@@ -177,6 +177,11 @@ def pack(stack: Stack, weights: Any, weight_unit: float) -> Packed | None:
     packed, job = empty_packed(stack, form, weight_unit=share[1])
     job.weight_scale = share[0]
     job.weight_step = int(weighted and weights.shape[0] > 1)
+    _fill(stack, weights, weight, form, job)
+    return packed
+
+
+def _fill(stack: Stack, weights: Any, weight: Any, form: str, job: PackJob) -> None:
     inputs = [
         job,
         pixel_view(stack.array, stack.scalar, (stack.count, stack.size * stack.channels)),
@@ -184,7 +189,53 @@ def pack(stack: Stack, weights: Any, weight_unit: float) -> Packed | None:
     ]
     kernel = _pack_kernel(form, stack.scalar, weight)
     launch(kernel, stack.count * (stack.height + 2), inputs, stack.device, ROW_GRAIN)
-    return packed
+
+
+def pack_over(stack: Stack, weights: Any, photos: Packed) -> None:
+    """Pack photos with weights of one byte a pixel into the memory of others.
+
+    Args:
+        stack: The photos, on the CPU.
+        weights: Warp array (N or 1, H * W), uint8, 255 = weight 1; for "rgb8" 0 or 255.
+        photos: Memory from `new_packed`, of as many photos.
+
+    Raises:
+        ValueError: If it is not of the photos' number and size.
+    """
+    _, job = empty_packed(stack, photos.form, photos)
+    job.weight_scale = _byte_scale(photos.form, 1.0)[0]
+    job.weight_step = int(weights.shape[0] > 1)
+    _fill(stack, weights, wp.uint8, photos.form, job)
+
+
+def new_packed(count: int, size: tuple[int, int], scalar: Any, form: str) -> Packed:
+    """Return memory for photos that will be packed with weights of one byte a pixel.
+
+    Args:
+        count: Number of photos.
+        size: (width, height) of the photos [px].
+        scalar: Warp type of a channel, uint8 or uint16.
+        form: See `Packed`.
+    """
+    return _memory(count, size, scalar, form, _byte_scale(form, 1.0 / 255.0)[1])
+
+
+def _memory(
+    count: int, size: tuple[int, int], scalar: Any, form: str, weight_unit: float
+) -> Packed:
+    row, frame = _strides(size, form)
+    # the operating system gives NumPy's large arrays large pages: fewer misses of the TLB
+    buffer = np.empty((count, frame * _WORDS[form]), dtype=np.uint32)
+    words = wp.array(buffer, dtype=wp.uint32, device="cpu", copy=False)
+    white = {"rgb8": 255.0, "rgb16": 256.0 if scalar is wp.uint8 else 65536.0}
+    return Packed(words, form, row, frame, weight_unit, white.get(form, 1.0))
+
+
+def _strides(size: tuple[int, int], form: str) -> tuple[int, int]:
+    """Pixels from row to row and from frame to frame."""
+    pixel = 4 * _WORDS[form]
+    row = _row_stride(size[0], pixel)
+    return row, row * (size[1] + 2) + 5 * LINE // pixel
 
 
 @wp.func_native("""
@@ -247,15 +298,10 @@ def empty_packed(
     Raises:
         ValueError: If `like` is not of the photos' number, size and form.
     """
-    row = _row_stride(stack.width, 4 * _WORDS[form])
-    frame = row * (stack.height + 2) + 5 * LINE // (4 * _WORDS[form])
+    row, frame = _strides((stack.width, stack.height), form)
     shape = (stack.count, frame * _WORDS[form])
     if like is None:
-        # the operating system gives NumPy's large arrays large pages: fewer misses of the TLB
-        buffer = np.empty(shape, dtype=np.uint32)
-        words = wp.array(buffer, dtype=wp.uint32, device="cpu", copy=False)
-        white = {"rgb8": 255.0, "rgb16": 256.0 if stack.scalar is wp.uint8 else 65536.0}
-        like = Packed(words, form, row, frame, weight_unit, white.get(form, 1.0))
+        like = _memory(stack.count, (stack.width, stack.height), stack.scalar, form, weight_unit)
     elif (tuple(like.words.shape), like.form, like.row) != (shape, form, row):
         raise ValueError(f"photos must hold {shape} words of form {form}, got {like.words.shape}")
     job = PackJob()
@@ -292,17 +338,27 @@ def _row_stride(width: int, pixel: int) -> int:
     return lines * LINE // pixel
 
 
-def _weight_scale(form: str, weights: Any, unit: float) -> tuple[float, float] | None:
-    """Factor on stored weights as they are packed, and the unit of the result."""
+def _byte_scale(form: str, unit: float) -> tuple[float, float]:
+    """`_weight_scale` of weights of one byte: whole numbers of 8 bits are exact as small floats."""
     if form == "rgb8":
         return 1.0, 1.0 / 255.0
     if form == "grey32 weighted":
         return 1.0, unit
-    stored = 1.0 / 32768.0 if form == "rgb16" else 1.0
+    return 1.0 / 256.0, 256.0 * unit * _stored(form)
+
+
+def _stored(form: str) -> float:
+    """Weight that a decoded 1 stands for."""
+    return 1.0 / 32768.0 if form == "rgb16" else 1.0
+
+
+def _weight_scale(form: str, weights: Any, unit: float) -> tuple[float, float] | None:
+    """Factor on stored weights as they are packed, and the unit of the result."""
+    if form in ("rgb8", "grey32 weighted") or (unit > 0.0 and weights.dtype is wp.uint8):
+        return _byte_scale(form, unit)
+    stored = _stored(form)
     if unit == 0.0:
         return 1.0, stored
-    if weights.dtype is wp.uint8:  # whole numbers of 8 bits are exact as small floats
-        return 1.0 / 256.0, 256.0 * unit * stored
     rows = [weights[i].numpy() for i in range(weights.shape[0])]
     top = max(float(row.max()) for row in rows)
     least = min(float(np.min(row, initial=np.inf, where=row != 0.0)) for row in rows)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from hsvaos.kernels.arrays import (
     Stack,
@@ -158,20 +159,58 @@ def rarity_model(
     stack = Stack(images, device_of(images, device))
     masks = valid_array(valid, stack)
     require_unit_range(stack)
-    bins = _COLOUR_BINS if stack.channels == 3 else GREY_BINS
-    counts = wp.zeros(
-        (len(bands(stack.size, stack.device)), bins), dtype=wp.int64, device=stack.device
-    )
+    shape = counts_shape(stack.size, stack.channels, stack.device)
+    counts = wp.zeros(shape, dtype=wp.int64, device=stack.device)
     tables = lab_tables(stack.device)
     scales = pixel_scales(stack, gains)
-    kernel = _count_kernel(stack.pixel)
     for i in range(stack.count):
-        inputs = [scales[i], *tables, stack.pixels[i], masks[i % masks.shape[0]], counts]
-        launch(kernel, stack.size, inputs, stack.device)
+        count_photo(stack.pixels[i], masks[i % masks.shape[0]], scales[i], tables, counts)
     total = counts.numpy().sum(axis=0)
     if stack.channels == 3:
         total = total.reshape(LIGHTNESS_BINS, CHROMA_BINS, CHROMA_BINS)
     return model_from_counts(total, threshold, exponent, smoothing_bins)
+
+
+def counts_shape(size: int, channels: int, device: Any) -> tuple[int, int]:
+    """Return the shape of the histogram of images of a size [px]: one row a band."""
+    bins = _COLOUR_BINS if channels == 3 else GREY_BINS
+    return len(bands(size, device)), bins
+
+
+def count_photo(pixels: Any, valid: Any, scale: Any, tables: tuple[Any, Any], counts: Any) -> None:
+    """Add the colours of an image to a histogram.
+
+    Args:
+        pixels: Warp array (H * W) of pixels.
+        valid: Warp array (H * W), uint8, pixels to use.
+        scale: Vector that brings pixels to 0..1, see `arrays.pixel_scales`.
+        tables: From `colour_tables`.
+        counts: Warp array of `counts_shape`, int64, added to.
+    """
+    inputs = [scale, *tables, pixels, valid, counts]
+    launch(_count_kernel(pixels.dtype), pixels.size, inputs, pixels.device)
+
+
+def byte_table(model: RarityModel) -> NDArray[np.uint8]:
+    """Return the weights of all bins, laid flat, 255 = weight 1, at least 2."""
+    return np.maximum(np.rint(model.weights.reshape(-1) * 255.0), 2.0).astype(np.uint8)
+
+
+def weigh_photo(
+    pixels: Any, valid: Any, scale: Any, tables: tuple[Any, Any], table: Any, weights: Any
+) -> None:
+    """Write the weight of every pixel of an image.
+
+    Args:
+        pixels: Warp array (H * W) of pixels.
+        valid: Warp array (H * W), uint8, multiplied in.
+        scale: Vector that brings pixels to 0..1, see `arrays.pixel_scales`.
+        tables: From `colour_tables`.
+        table: Warp array of the weight of each bin, uint8 or float32.
+        weights: Warp array (H * W) of that type, written.
+    """
+    inputs = [scale, *tables, pixels, valid, table, weights]
+    launch(_weight_kernel(pixels.dtype, table.dtype), pixels.size, inputs, pixels.device)
 
 
 def apply_rarity(
@@ -209,19 +248,16 @@ def apply_rarity(
     if scalar is wp.uint16:
         raise TypeError('dtype must be "uint8" or "float32", got "uint16"')
     masks = valid_array(valid, stack)
-    weights = model.weights.reshape(-1)
-    if scalar is wp.uint8:
-        weights = np.maximum(np.rint(weights * 255.0), 2.0).astype(np.uint8)
+    weights = byte_table(model) if scalar is wp.uint8 else model.weights.reshape(-1)
     table = wp.array(weights, dtype=scalar, device=stack.device)
     shape = (stack.count, stack.height, stack.width)
     result = output_array(out, shape, scalar, stack.device, "out")
     target = pixel_view(result, scalar, (stack.count, stack.size))
     tables = lab_tables(stack.device)
     scales = pixel_scales(stack, gains)
-    kernel = _weight_kernel(stack.pixel, scalar)
     for i in range(stack.count):
-        inputs = [scales[i], *tables, stack.pixels[i], masks[i % masks.shape[0]], table, target[i]]
-        launch(kernel, stack.size, inputs, stack.device)
+        valid_row = masks[i % masks.shape[0]]
+        weigh_photo(stack.pixels[i], valid_row, scales[i], tables, table, target[i])
     return like_input(result, images) if out is None else out
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -73,6 +73,18 @@ class ErrorStateRun:
         self.gates: dict[str, _Gate] = {}
         self.innovations = InnovationLog()
         self.gnss_std = gnss_noise(log, ekf.gnss)
+
+    def resume(self, x: Array, R: Array, C: Array, gates: dict[str, _Gate]) -> None:
+        """Go on from where another run ended, which stays as it is.
+
+        Args:
+            x: Shape (n,), its state.
+            R: Shape (3, 3), its attitude.
+            C: Shape (n, n), its covariance.
+            gates: What its gates remember.
+        """
+        self.x, self.R, self.C = x, R, C
+        self.gates = {name: replace(gate) for name, gate in gates.items()}
 
     def _baro_zero(self, bias_std: float, initial: InitialState) -> tuple[float, float]:
         """Return the offset of the barometer to begin with and how sure it is [m]."""

@@ -130,8 +130,7 @@ class Trajectory:
             ValueError: If a time lies outside the trajectory.
         """
         position, _, q = self.at(t_s)
-        arm = attitude.rotate(q, np.broadcast_to(self.mounting.camera_lever_arm, position.shape))
-        return _pose(position + arm, attitude.multiply(q, self.mounting.body_from_camera_q))
+        return camera_pose(position, q, self.mounting)
 
     def camera_covariance(self, t_s: ArrayLike) -> Array:
         """Return the covariance of the camera's pose, shape (..., 6, 6), rows as `covariance`.
@@ -241,6 +240,21 @@ def trajectory_of(states: States, log: SensorLog) -> Trajectory:
         log.notes + states.notes,
         int(within.sum()),
     )
+
+
+def camera_pose(position: Array, q: Array, mounting: Mounting) -> Array:
+    """Return poses of the camera from those of the body, through boresight and lever arm.
+
+    Args:
+        position: Shape (..., 3), world NED [m].
+        q: Shape (..., 4), world_from_body.
+        mounting: Where the camera sits.
+
+    Returns:
+        Shape (..., 4, 4), world_from_camera.
+    """
+    arm = attitude.rotate(q, np.broadcast_to(mounting.camera_lever_arm, position.shape))
+    return _pose(position + arm, attitude.multiply(q, mounting.body_from_camera_q))
 
 
 def _pose(position: Array, q: Array) -> Array:

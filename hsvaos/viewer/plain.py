@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import json
-import sys
 import threading
 from dataclasses import replace
 from html import escape
 from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -16,10 +14,10 @@ from urllib.parse import parse_qsl, urlsplit
 
 from hsvaos.camera import VirtualCamera
 from hsvaos.settings import MASKS
+from hsvaos.viewer.answers import Answers, PageServer
 from hsvaos.viewer.geometry import fitted
 from hsvaos.viewer.live import Live
 from hsvaos.viewer.picture import jpeg, png
-from hsvaos.viewer.ports import free_port
 from hsvaos.viewer.render import Picture
 from hsvaos.viewer.request import LAYERS, Aperture, Focus, Look, Request
 from hsvaos.viewer.saving import settings_toml
@@ -28,10 +26,9 @@ from hsvaos.viewer.session import Session
 _PAGE = Path(__file__).with_name("plain.html")
 _WAIT_S = 60.0
 _LONGEST_PX = 1280
-_SAFE = {"X-Content-Type-Options": "nosniff", "Cache-Control": "no-store"}
 
 
-class PlainApp:
+class PlainApp(PageServer):
     """A small server of one page, its pictures and its settings.
 
     The page asks for one picture at a time and for the newest values, so a slow line gets fewer
@@ -52,23 +49,12 @@ class PlainApp:
         class Handler(_Handler):
             app = self
 
-        self._server = _Server((host, free_port(host, port)), Handler)
-        self.host, self.port = host, int(self._server.server_address[1])
-        self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
-        self._thread.start()
-
-    @property
-    def url(self) -> str:
-        """Where to point a browser."""
-        host = "localhost" if self.host in ("0.0.0.0", "::", "") else self.host
-        return f"http://{host}:{self.port}"
+        super().__init__(Handler, host, port)
 
     def close(self) -> None:
         """Drop all work and stop the server."""
         self.live.close()
-        self._server.shutdown()
-        self._server.server_close()
-        self._thread.join()
+        super().close()
 
     def page(self) -> bytes:
         """Return the page."""
@@ -148,47 +134,36 @@ class PlainApp:
         return outcome[0] if outcome else None
 
 
-class _Server(ThreadingHTTPServer):
-    daemon_threads = True
-
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        """Say nothing of browsers that leave in the middle of an answer."""
-        if not isinstance(sys.exception(), (ConnectionError, TimeoutError)):
-            super().handle_error(request, client_address)
-
-
-class _Handler(BaseHTTPRequestHandler):
+class _Handler(Answers):
     """One request of a browser."""
 
     app: PlainApp
-    protocol_version = "HTTP/1.1"
-    timeout = 120
 
-    def do_GET(self) -> None:
+    def answer(self) -> None:
         """Answer with the page, a picture or the settings."""
         parts = urlsplit(self.path)
         values = dict(parse_qsl(parts.query))
         try:
             if parts.path == "/":
-                self._send(self.app.page(), "text/html; charset=utf-8")
+                self.send(self.app.page(), "text/html; charset=utf-8")
             elif parts.path == "/picture.jpg":
                 self._picture(values)
             elif parts.path == "/picture.png":
                 picture = self.app.session.render(self.app.request(values))
-                self._send(png(picture.rgb), "image/png", save="hsvaos.png")
+                self.send(png(picture.rgb), "image/png", save="hsvaos.png")
             elif parts.path == "/settings.toml":
                 text = settings_toml(self.app.session, self.app.request(values))
-                self._send(text.encode(), "application/toml", save="settings.toml")
+                self.send(text.encode(), "application/toml", save="settings.toml")
             else:
-                self._send(b"not found", "text/plain", HTTPStatus.NOT_FOUND)
+                self.send(b"not found", "text/plain", HTTPStatus.NOT_FOUND)
         except (ValueError, TypeError) as error:
             text = " ".join(str(error).split())
-            self._send(text.encode(), "text/plain; charset=utf-8", HTTPStatus.BAD_REQUEST)
+            self.send(text.encode(), "text/plain; charset=utf-8", HTTPStatus.BAD_REQUEST)
 
     def _picture(self, values: dict[str, str]) -> None:
         picture = self.app.picture(self.app.request(values), values.get("tab", ""))
         if picture is None:
-            self._send(b"", "text/plain", HTTPStatus.NO_CONTENT)
+            self.send(b"", "text/plain", HTTPStatus.NO_CONTENT)
             return
         status = {
             "frames": picture.frames,
@@ -199,29 +174,7 @@ class _Handler(BaseHTTPRequestHandler):
             "note": picture.note,
         }
         extra = {"X-Status": json.dumps(status)}
-        self._send(jpeg(picture.rgb), "image/jpeg", extra=extra)
-
-    def _send(
-        self,
-        content: bytes,
-        kind: str,
-        status: HTTPStatus = HTTPStatus.OK,
-        save: str | None = None,
-        extra: dict[str, str] | None = None,
-    ) -> None:
-        self.send_response(status)
-        headers = {**_SAFE, **(extra or {}), "Content-Type": kind}
-        if save is not None:
-            headers["Content-Disposition"] = f'attachment; filename="{save}"'
-        if status is not HTTPStatus.NO_CONTENT:
-            headers["Content-Length"] = str(len(content))
-        for name, value in headers.items():
-            self.send_header(name, value)
-        self.end_headers()
-        self.wfile.write(content)
-
-    def log_message(self, format: str, *args: Any) -> None:
-        """Say nothing: the terminal belongs to the user."""
+        self.send(jpeg(picture.rgb), "image/jpeg", extra=extra)
 
 
 def _number(values: dict[str, str], name: str, default: Any, kind: type) -> Any:

@@ -1,0 +1,1 @@
+"""Integral images while the photos come in."""
