@@ -21,7 +21,7 @@ from hsvaos.simulate.mission import Mission
 from hsvaos.simulate.record import simulate_flight
 from hsvaos.simulate.settings import SimulationSettings
 
-FIRST_SEED = 700
+FIRST_SEED = 710
 PEOPLE = 12
 FORESTS: dict[str, dict[str, object]] = {
     "summer": {"season": "summer"},
