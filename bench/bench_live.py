@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from bench.data import lawnmower, photos
 from bench.harness import Contenders, size
 from bench.peers import opencv, plane_homography, premultiply
 from hsvaos import FocalPlane, Integrator, VirtualCamera
+from hsvaos.benchmark.scenes import lawnmower, photos
 from hsvaos.kernels.hue_mask import apply_hue_cut, measure_hue
 from hsvaos.live.ring import Format, Out
 from hsvaos.live.window import Window

@@ -3,7 +3,7 @@
     python -m bench.live_soak [--minutes 10] [--rate 10] [--side 1024] [--size 512] [--window 30]
                               [--mask hue] [--view moving] [--detect-every 0] [FLIGHT]
 
-Photos are noise in memory, or those of a flight, decoded before: on board a camera brings them
+Photos are drawn ones in memory, or those of a flight, decoded before: on board a camera brings them
 decoded. Ends with status 1 where the p99 latency is above --budget, a photo was dropped, or memory
 grew by more than 2 % from the second tenth to the last.
 """
@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 import hsvaos
-from bench.data import lawnmower, photos
+from hsvaos.benchmark.scenes import lawnmower, photos
 from hsvaos.kernels.device import quiet_start, set_threads
 from hsvaos.live.latency import Latencies
 from hsvaos.live.memory import resident_mb
