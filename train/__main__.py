@@ -1,4 +1,4 @@
-"""Remake the person network: python -m train WORK [--flights 60] [--steps 2600]
+"""Remake the person network: python -m train WORK [--flights 43] [--steps 2400]
 
 Simulates the flights, integrates their maps, trains, chooses the threshold on tuning flights and
 writes WORK/person.onnx and WORK/curve.csv. Every part goes on where it was stopped.
@@ -44,9 +44,9 @@ def _flights(first: int, count: int, flights: Path, maps: Path, workers: int) ->
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m train", description=__doc__)
     parser.add_argument("work", type=Path, help="folder for everything; some 12 GB")
-    parser.add_argument("--flights", type=int, default=60)
+    parser.add_argument("--flights", type=int, default=43)
     parser.add_argument("--tuning", type=int, default=4)
-    parser.add_argument("--steps", type=int, default=2600)
+    parser.add_argument("--steps", type=int, default=2400)
     parser.add_argument("--workers", type=int, default=2)
     asked = parser.parse_args()
     work = asked.work
