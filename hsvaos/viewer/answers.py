@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
+from abc import ABC, abstractmethod
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
@@ -24,7 +25,7 @@ class QuietServer(ThreadingHTTPServer):
             super().handle_error(request, client_address)
 
 
-class Answers(BaseHTTPRequestHandler):
+class Answers(BaseHTTPRequestHandler, ABC):
     """One request of a browser."""
 
     protocol_version = "HTTP/1.1"
@@ -34,9 +35,9 @@ class Answers(BaseHTTPRequestHandler):
         """Answer a browser."""
         self.answer()
 
+    @abstractmethod
     def answer(self) -> None:
         """Answer the request in `path`."""
-        raise NotImplementedError
 
     def send(
         self,

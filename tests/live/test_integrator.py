@@ -146,10 +146,11 @@ def test_a_slow_detector_never_stalls_the_integration(strip: Strip) -> None:
         strip.camera, frames=4, size=64, mask="none", detector=finder, detect_every=2
     )
     with live:
-        first = None
+        first, late = None, time.monotonic() + 60.0
         for i in range(8):  # all of them integrated while the detector looks at the first
             live.push(strip.images[i], strip.poses[i])
             while live.stats().integrated <= i:
+                assert time.monotonic() < late
                 time.sleep(0.001)
             first = first or live.latest()
         newest = live.latest()
