@@ -87,12 +87,26 @@ def _scaled(
     wanted = float(np.exp(rng.uniform(np.log(max(low, 0.9 * gsd)), np.log(high))))
     if rng.uniform() < 0.65:  # what users mostly look at: finer photos are brought to 5 cm
         wanted = float(np.clip(max(gsd, 0.05) * rng.uniform(0.93, 1.1), low, high))
+    return *at_sampling(layers, boxes, gsd, wanted), wanted
+
+
+def at_sampling(
+    layers: NDArray[np.float32], boxes: NDArray[np.float64], gsd: float, wanted: float
+) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Return a map and its boxes resampled.
+
+    Args:
+        layers: Shape (L, H, W).
+        boxes: Shape (K, 4), xyxy [px].
+        gsd: Ground sampling distance of the map [m/px].
+        wanted: The one to return.
+    """
     factor = gsd / wanted
     height, width = (max(CROP_PX // 2, round(side * factor)) for side in layers.shape[1:])
     way = cv2.INTER_AREA if factor < 0.95 else cv2.INTER_LINEAR
     small = np.stack([cv2.resize(layer, (width, height), interpolation=way) for layer in layers])
     scale = np.array([width / layers.shape[2], height / layers.shape[1]] * 2)
-    return small, (boxes + 0.5) * scale - 0.5, wanted
+    return small, (boxes + 0.5) * scale - 0.5
 
 
 def _turned(
@@ -125,15 +139,15 @@ def _look(
 
     Others are those who lie in the map: blurred away they are not taught.
     """
-    if rng.uniform() < (0.25 if colour else 0.65):
+    if rng.uniform() < (0.2 if colour else 0.65):
         return _alone(layers, boxes, gsd, colour, rng)
-    kind = str(rng.choice(_KINDS, p=[0.64, 0.18, 0.18]))
+    kind = str(rng.choice(_KINDS, p=[0.7, 0.15, 0.15]))
     image = _image(layers, kind)
     rays = layers[RAYS]
     if kind == "hue" and rng.uniform() < 0.3:
         rays = layers[HUE_FOOTPRINT]
     known = rng.uniform(size=4) < [0.9, 0.9, 0.85, 0.6]
-    if kind == "rarity" and rng.uniform() < 0.75:
+    if kind == "rarity" and rng.uniform() < 0.85:
         known[:] = True  # as `hsvaos run` gives it
     whole = network_input(
         image,
