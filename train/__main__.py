@@ -48,6 +48,9 @@ def main() -> int:
     parser.add_argument("--tuning", type=int, default=4)
     parser.add_argument("--steps", type=int, default=2400)
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--start-from", type=Path, help="an exported network to train further")
+    parser.add_argument("--rate", type=float, default=2e-3, help="highest learning rate")
+    parser.add_argument("--seed", type=int, default=1, help="of first weights and of crops")
     asked = parser.parse_args()
     work = asked.work
     print("flights and maps for training", flush=True)
@@ -55,25 +58,35 @@ def main() -> int:
     _flights(FIRST_TRAINING_SEED, asked.flights, work / "flights", maps, asked.workers)
     print("flights and maps for tuning", flush=True)
     _flights(FIRST_TUNING_SEED, asked.tuning, work / "tuning_flights", tuning, asked.workers)
-    return train(work, maps, tuning, asked.steps, asked.workers)
+    return train(work, maps, tuning, asked)
 
 
-def train(work: Path, maps: Path, tuning: Path, steps: int, workers: int) -> int:
+def train(work: Path, maps: Path, tuning: Path, asked: argparse.Namespace) -> int:
     """Fit, choose the threshold, export."""
     from train.export import export
     from train.fit import BATCH, fit
     from train.judge import judge, threshold
 
     held_out = sorted(tuning.glob("*.npz"))
-    net = fit(maps, work, steps=steps, tune=judge(held_out), workers=max(1, workers - 1))
+    net = fit(
+        maps,
+        work,
+        steps=asked.steps,
+        seed=asked.seed,
+        tune=judge(held_out),
+        workers=max(1, asked.workers - 1),
+        start_from=asked.start_from,
+        rate=asked.rate,
+    )
     figures = judge(held_out)(net)
     score = threshold(net, held_out)
     story = {
         "recipe": "python -m train",
         "training_seeds": _seeds(maps),
         "tuning_seeds": _seeds(tuning),
-        "steps": steps,
-        "crops": steps * BATCH,
+        "steps": asked.steps,
+        "crops": asked.steps * BATCH,
+        "started_from": asked.start_from.name if asked.start_from else "new weights",
         "tuning": figures,
     }
     export(net, work / "person.onnx", score, story)

@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Iterator
 from functools import cache
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +20,13 @@ from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from train.net import STRIDE, PersonNet, boxes_of, cell_centres
 from train.samples import CROP_PX, Sample, visit
+from train.warm import unfolded
 
 CROPS_A_VISIT = 48
 BATCH = 16
+_MEASURED_ON = 8
+"""Batches on which the layers of a network brought back are measured."""
+
 _CORE_PX = 7.0
 """Cells whose centre lies this near the middle of a box answer for it; the nearest always does."""
 
@@ -147,7 +152,9 @@ def fit(
     seed: int = 1,
     workers: int = 1,
     tune: Any = None,
-    tune_every: int = 400,
+    tune_every: int = 1500,
+    start_from: Path | None = None,
+    rate: float = 2e-3,
 ) -> PersonNet:
     """Train from the maps of a folder; goes on where it was stopped.
 
@@ -159,13 +166,19 @@ def fit(
         workers: Processes that draw crops.
         tune: Called with the averaged network; returns figures for the curve.
         tune_every: Steps between such calls.
+        start_from: An exported network whose training goes on; by default a new one.
+        rate: Highest learning rate.
     """
     torch.manual_seed(seed)
     out.mkdir(parents=True, exist_ok=True)
-    net, mean = PersonNet().to(memory_format=torch.channels_last), PersonNet()  # type: ignore[call-overload]
-    mean.load_state_dict(net.state_dict())
-    optimizer = torch.optim.AdamW(net.parameters(), lr=2e-3, weight_decay=1e-3)
     state_path, start = out / "state.pt", 0
+    net, mean = PersonNet(), PersonNet()
+    if start_from is not None and not state_path.exists():
+        some = islice(Crops(maps, seed + 7), _MEASURED_ON)
+        net = unfolded(start_from, (batch[0] for batch in some))
+    net = net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    mean.load_state_dict(net.state_dict())
+    optimizer = torch.optim.AdamW(net.parameters(), lr=rate, weight_decay=1e-3)
     if state_path.exists():
         state = torch.load(state_path)
         net.load_state_dict(state["net"])
@@ -179,7 +192,7 @@ def fit(
     began = time.monotonic()
     for step, batch in zip(range(start, steps), loader, strict=False):
         for group in optimizer.param_groups:
-            group["lr"] = 2e-3 * _schedule(step, steps)
+            group["lr"] = rate * _schedule(step, steps)
         net.train()
         parts = loss_of(net, batch)
         loss = parts["score"] + parts["box"]

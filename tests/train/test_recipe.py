@@ -27,6 +27,7 @@ from train.maps import (  # noqa: E402
 )
 from train.net import STRIDE, Exported, PersonNet, boxes_of, cell_centres  # noqa: E402
 from train.samples import CROP_PX, Sample, visit  # noqa: E402
+from train.warm import unfolded  # noqa: E402
 
 
 def drawn_map(path, people=6, seed=0, side=420):
@@ -144,6 +145,39 @@ def test_training_learns_and_the_export_is_what_was_trained(tmp_path):
     assert found.boxes_xyxy[0] == pytest.approx(
         np.clip(boxes[0, best].detach().numpy(), -0.5, [127.5, 95.5] * 2), abs=0.02
     )
+
+
+def test_an_exported_network_comes_back_as_it_was_and_can_be_trained(tmp_path):
+    torch.manual_seed(3)
+    batch = collate(visit(drawn_map(tmp_path / "flight_1_0.npz"), np.random.default_rng(2), 6))
+    net = PersonNet()
+    with torch.no_grad():
+        for _ in range(3):  # fills the running means and deviations
+            net(batch[0])
+        for norm in (m for m in net.modules() if isinstance(m, torch.nn.BatchNorm2d)):
+            norm.weight.uniform_(0.5, 1.5)
+            norm.bias.normal_(0.0, 0.3)
+    model = tmp_path / "person.onnx"
+    export(net, model, 0.5, {"recipe": "test"})
+    back = unfolded(model, [batch[0]])
+    x = batch[0][:2]
+    with torch.no_grad():
+        for ours, theirs in zip(Exported(back).eval()(x), Exported(net).eval()(x), strict=True):
+            assert np.allclose(ours, theirs, rtol=1e-3, atol=1e-3)
+        # measured on this very batch, its own means and deviations are those of use
+        resting, moving = back.eval()(batch[0])[0], back.train()(batch[0])[0]
+    assert float((resting - moving).abs().max()) < 0.02 * float(resting.std()) + 1e-3
+
+
+def test_a_file_of_another_network_is_not_brought_back(tmp_path):
+    other = PersonNet(channels=8)
+    import train.export as exporting
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(exporting, "CHANNELS", CHANNELS[:8])
+        export(other, tmp_path / "other.onnx", 0.5, {})
+    with pytest.raises(ValueError, match="expected the convolutions"):
+        unfolded(tmp_path / "other.onnx", [])
 
 
 def _input(image):
