@@ -168,19 +168,28 @@ def fit(
         tune_every: Steps between such calls.
         start_from: An exported network whose training goes on; by default a new one.
         rate: Highest learning rate.
+
+    Raises:
+        ValueError: If a stopped run in `out` had begun from other weights.
     """
     torch.manual_seed(seed)
     out.mkdir(parents=True, exist_ok=True)
     state_path, start = out / "state.pt", 0
     net, mean = PersonNet(), PersonNet()
-    if start_from is not None and not state_path.exists():
+    state = torch.load(state_path) if state_path.exists() else None
+    begun_from = str(start_from) if start_from is not None else None
+    if state is not None and state.get("start_from") != begun_from:
+        raise ValueError(
+            f"{state_path} goes on from {state.get('start_from') or 'new weights'}, asked was "
+            f"{begun_from or 'new weights'}; move it away to begin anew"
+        )
+    if start_from is not None and state is None:
         some = islice(Crops(maps, seed + 7), _MEASURED_ON)
         net = unfolded(start_from, (batch[0] for batch in some))
     net = net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     mean.load_state_dict(net.state_dict())
     optimizer = torch.optim.AdamW(net.parameters(), lr=rate, weight_decay=1e-3)
-    if state_path.exists():
-        state = torch.load(state_path)
+    if state is not None:
         net.load_state_dict(state["net"])
         mean.load_state_dict(state["mean"])
         optimizer.load_state_dict(state["optimizer"])
@@ -216,6 +225,7 @@ def fit(
                     "mean": mean.state_dict(),
                     "optimizer": optimizer.state_dict(),
                     "step": step + 1,
+                    "start_from": begun_from,
                 },
                 state_path.with_suffix(".part"),
             )

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from hsvaos.detect.network_input import network_input
+from hsvaos.detect.network_input import AIM_GSD_M, TRAINED_GSD_M, network_input
 from hsvaos.evaluate.detection import Matches, match_boxes
 from train.maps import COHERENCE, COHERENT, PLANES, RARITY_MAP, RAYS
 from train.net import MULTIPLE, Exported, PersonNet
@@ -18,9 +18,6 @@ from train.samples import LEAST_RAYS_SEEN, at_sampling
 
 REACHED = 1.5
 """Unoccluded rays a point from which a person is to be found; others are ignored."""
-
-JUDGED_GSD_M = 0.05
-"""Ground sampling distance [m/px] at which finer maps are judged."""
 
 _FLOOR = 0.02
 _NMS = 0.25
@@ -93,8 +90,8 @@ def matched(net: PersonNet, paths: list[Path], ious: tuple[float, ...]) -> dict[
         with np.load(path) as data:
             layers = data["layers"].astype(np.float32)
             truth, rays, gsd = data["boxes"], data["rays"], float(data["gsd"])
-        # finer maps are brought to the sampling at which the detector looks
-        layers, truth = at_sampling(layers, truth, gsd, max(gsd, JUDGED_GSD_M))
+        if not TRAINED_GSD_M[0] <= gsd <= TRAINED_GSD_M[1]:  # as the detector does
+            layers, truth = at_sampling(layers, truth, gsd, AIM_GSD_M)
         whole = network_input(
             np.moveaxis(layers[PLANES["rarity"]], 0, 2),
             layers[RAYS],

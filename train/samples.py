@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hsvaos.detect.network_input import CHANNELS, TRAINED_GSD_M, network_input
+from hsvaos.detect.network_input import AIM_GSD_M, CHANNELS, TRAINED_GSD_M, network_input
 from train.drawn import draw_figures, smooth_ground
 from train.maps import COHERENCE, COHERENT, HUE_FOOTPRINT, PLANES, RARITY_MAP, RAYS
 
@@ -86,7 +86,7 @@ def _scaled(
     low, high = TRAINED_GSD_M
     wanted = float(np.exp(rng.uniform(np.log(max(low, 0.9 * gsd)), np.log(high))))
     if rng.uniform() < 0.65:  # what users mostly look at: finer photos are brought to 5 cm
-        wanted = float(np.clip(max(gsd, 0.05) * rng.uniform(0.93, 1.1), low, high))
+        wanted = float(np.clip(max(gsd, AIM_GSD_M) * rng.uniform(0.93, 1.1), low, high))
     return *at_sampling(layers, boxes, gsd, wanted), wanted
 
 

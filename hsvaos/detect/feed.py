@@ -14,13 +14,10 @@ from hsvaos.camera import finite_number
 from hsvaos.detect.fitting import Placement, as_bytes, fitted, padded
 from hsvaos.detect.layouts import Layout, input_size, own_channels
 from hsvaos.detect.network import Network
-from hsvaos.detect.network_input import TRAINED_GSD_M, network_input
+from hsvaos.detect.network_input import AIM_GSD_M, TRAINED_GSD_M, network_input
 from hsvaos.detect.view_input import ViewInput, Window, trained_size, windows
 
 Array = NDArray[Any]
-
-_AIM_GSD_M = 0.05
-"""Views of other distances are resampled to this one [m/px]."""
 
 _OWN_SIDE = 2048
 """Largest window of our own networks, which take any size: it bounds the memory."""
@@ -157,7 +154,7 @@ class OwnFeed:
         if gsd_m is not None:
             if not (gsd := finite_number(gsd_m, "gsd_m")) > 0.0:
                 raise ValueError(f"gsd_m must be a positive number of metres, got {gsd_m!r}")
-            view = view.resized(*trained_size(view.size, gsd, TRAINED_GSD_M, _AIM_GSD_M))
+            view = view.resized(*trained_size(view.size, gsd, TRAINED_GSD_M, AIM_GSD_M))
         scale = view.size[1] / width, view.size[0] / height
         for window in windows(view.size, self._side, self._overlap):
             part = view.cut(window)

@@ -23,6 +23,9 @@ CHANNELS = (
 TRAINED_GSD_M = (0.045, 0.09)
 """Ground sampling distances [m/px] between which the network was trained."""
 
+AIM_GSD_M = 0.05
+"""Ground sampling distance [m/px] to which finer and coarser images are brought."""
+
 _LIMIT = 8.0
 """Contrast is cut off there: a lamp must not drown a person beside it."""
 

@@ -10,7 +10,7 @@ from hsvaos.detect.network_input import CHANNELS, network_input  # noqa: E402
 from hsvaos.detect.yolo import Detector  # noqa: E402
 from train.drawn import draw_figures  # noqa: E402
 from train.export import export  # noqa: E402
-from train.fit import collate, loss_of, overlap  # noqa: E402
+from train.fit import collate, fit, loss_of, overlap  # noqa: E402
 from train.flights import FIRST_TRAINING_SEED, FIRST_TUNING_SEED, flight_settings  # noqa: E402
 from train.maps import (  # noqa: E402
     COHERENCE,
@@ -169,13 +169,16 @@ def test_an_exported_network_comes_back_as_it_was_and_can_be_trained(tmp_path):
     assert float((resting - moving).abs().max()) < 0.02 * float(resting.std()) + 1e-3
 
 
-def test_a_file_of_another_network_is_not_brought_back(tmp_path):
-    other = PersonNet(channels=8)
-    import train.export as exporting
+def test_a_stopped_run_goes_on_from_its_own_weights_only(tmp_path):
+    drawn_map(tmp_path / "flight_1_0.npz")
+    fit(tmp_path, tmp_path / "out", steps=1)
+    with pytest.raises(ValueError, match=r"goes on from new weights, asked was .*person\.onnx"):
+        fit(tmp_path, tmp_path / "out", steps=2, start_from=tmp_path / "person.onnx")
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(exporting, "CHANNELS", CHANNELS[:8])
-        export(other, tmp_path / "other.onnx", 0.5, {})
+
+def test_a_file_of_another_network_is_not_brought_back(tmp_path, monkeypatch):
+    monkeypatch.setattr("train.export.CHANNELS", CHANNELS[:8])
+    export(PersonNet(channels=8), tmp_path / "other.onnx", 0.5, {})
     with pytest.raises(ValueError, match="expected the convolutions"):
         unfolded(tmp_path / "other.onnx", [])
 
