@@ -26,8 +26,8 @@ def convert_darknet(
     """Write a Darknet network as ONNX, in the layout "yolov4" of `hsvaos.Detector`.
 
     Args:
-        cfg: The network as text, with layers convolutional, maxpool, route, upsample, shortcut and
-            yolo.
+        cfg: The network as text, with layers convolutional, dropout, maxpool, route, upsample,
+            shortcut and yolo.
         weights: Its numbers.
         out: ONNX file to write.
         names: Names of the classes, one a line; they go into the metadata.

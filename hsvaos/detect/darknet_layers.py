@@ -80,6 +80,7 @@ class Converter:
         self.heads: list[tuple[str, str, int]] = []
         kinds: dict[str, Callable[[Section, _Layer], _Layer]] = {
             "convolutional": self._convolutional,
+            "dropout": self._dropout,
             "maxpool": self._maxpool,
             "route": self._route,
             "upsample": self._upsample,
@@ -163,6 +164,10 @@ class Converter:
         )
         height, width = ((s + pad - size) // stride + 1 for s in (last.height, last.width))
         return _Layer(name, last.channels, height, width)
+
+    def _dropout(self, section: Section, last: _Layer) -> _Layer:
+        """Only training drops anything."""
+        return last
 
     def _route(self, section: Section, last: _Layer) -> _Layer:
         sources = [self._earlier(section, int(value)) for value in section.numbers("layers")]

@@ -81,6 +81,9 @@ stride=1
 size=2
 stride=1
 
+[dropout]
+probability=.15
+
 [convolutional]
 filters=14
 size=1
@@ -312,7 +315,7 @@ def test_detector_takes_it(tmp_path: Path) -> None:
         ("groups=2\nactivation=swish", "groups=3\nactivation=swish", "does not fit 4 channels"),
         ("[net]", "[conv]", "begins with \\[net\\]"),
         ("batch=1", "batch", "expected \\[section\\] or key=value"),
-        ("layers = 10\n", "layers = 12\n", "layer 12 cannot be taken"),
+        ("layers = 10\n", "layers = 13\n", "layer 13 cannot be taken"),
         ("filters=6\nsize=1", "filters=7\nsize=1", "adds layers of different shapes"),
     ],
 )
