@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -61,22 +62,26 @@ class GroundMap:
         y = (np.float32(corner[0]) - north) / np.float32(self.grid.gsd_m)
         lost = hits[..., 3] <= 0.0
         x[lost] = y[lost] = -10.0
-        return {name: _resampled(*layer, x, y) for name, layer in self.layers.items()}
+        return {name: _resampled(sums, x, y) for name, sums in self._sums.items()}
+
+    @cached_property
+    def _sums(self) -> dict[str, NDArray[np.float32]]:
+        """Layers weighted by their footprint, which comes last, shape (H, W, C + 1).
+
+        Drawn so, unseen ground does not darken what lies beside it.
+        """
+        return {
+            name: np.dstack([image * footprint[..., None], footprint])
+            for name, (image, footprint) in self.layers.items()
+        }
 
 
-def _resampled(
-    image: NDArray[np.float32],
-    footprint: NDArray[np.float32],
-    x: NDArray[np.float32],
-    y: NDArray[np.float32],
-) -> Layer:
-    # weighted by the footprint, so that unseen ground does not darken what lies beside it
-    whole = np.dstack([image * footprint[..., None], footprint])
-    drawn = cv2.remap(whole, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-    rays = np.ascontiguousarray(drawn[..., -1], dtype=np.float32)
-    total = drawn[..., :-1]
-    mean = np.where(rays[..., None] > 0.0, total / np.maximum(rays, 1e-12)[..., None], 0.0)
-    return np.ascontiguousarray(mean, dtype=np.float32), rays
+def _resampled(sums: NDArray[np.float32], x: NDArray[np.float32], y: NDArray[np.float32]) -> Layer:
+    drawn = cv2.remap(sums, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    rays = np.ascontiguousarray(drawn[..., -1])
+    mean = drawn[..., :-1] / np.maximum(rays, np.float32(1e-12))[..., None]
+    mean[rays <= 0.0] = 0.0
+    return mean, rays
 
 
 def grid_for(
