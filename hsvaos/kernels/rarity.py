@@ -23,89 +23,24 @@ from hsvaos.kernels.arrays import (
     scalar_type,
     valid_array,
 )
-from hsvaos.kernels.device import bands, launch
-from hsvaos.kernels.lab import lab_pixel, lab_tables
-from hsvaos.kernels.pixels import as_value, as_vec3, is_colour
-from hsvaos.rarity_model import (
-    CHROMA_BINS,
-    CHROMA_RANGE,
-    GREY_BINS,
-    LIGHTNESS_BINS,
-    LIGHTNESS_FLOOR,
-    RarityModel,
-    model_from_counts,
-)
+from hsvaos.kernels.device import launch
+from hsvaos.kernels.pixels import as_value, is_colour
+from hsvaos.kernels.rarity_bins import Tables, bin_function, bin_tables, count_photo, counts_shape
+from hsvaos.rarity_model import CHROMA_BINS, LIGHTNESS_BINS, RarityModel, model_from_counts
 
 wp.set_module_options({"enable_backward": False})
-
-_COLOUR_BINS = LIGHTNESS_BINS * CHROMA_BINS * CHROMA_BINS
-
-
-@wp.func
-def colour_bin(lab: wp.vec3) -> int:
-    """Bin of a colour: lightness level, then chroma relative to lightness."""
-    scale = 40.0 / wp.max(lab[0], LIGHTNESS_FLOOR)
-    per_bin = float(CHROMA_BINS) / (2.0 * CHROMA_RANGE)
-    level = wp.clamp(int(lab[0] * (float(LIGHTNESS_BINS) / 100.0)), 0, LIGHTNESS_BINS - 1)
-    a = wp.clamp(int((lab[1] * scale + CHROMA_RANGE) * per_bin), 0, CHROMA_BINS - 1)
-    b = wp.clamp(int((lab[2] * scale + CHROMA_RANGE) * per_bin), 0, CHROMA_BINS - 1)
-    return (level * CHROMA_BINS + a) * CHROMA_BINS + b
-
-
-@lru_cache
-def _bin_function(pixel: Any) -> Any:
-    if pixel in (wp.uint8, wp.uint16, wp.float32):
-
-        @wp.func
-        def bin_of(
-            value: Any, scale: wp.vec3, gamma: wp.array(dtype=float), curve: wp.array(dtype=float)
-        ) -> int:
-            level = float(value) * scale[0] * float(GREY_BINS - 1) + 0.5
-            return wp.clamp(int(level), 0, GREY_BINS - 1)
-
-    else:
-
-        @wp.func
-        def bin_of(
-            value: Any, scale: wp.vec3, gamma: wp.array(dtype=float), curve: wp.array(dtype=float)
-        ) -> int:
-            return colour_bin(lab_pixel(wp.cw_mul(as_vec3(value), scale), gamma, curve))
-
-    return bin_of
-
-
-@lru_cache
-def _count_kernel(pixel: Any) -> Any:
-    bin_of = _bin_function(pixel)
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def colour_histogram_kernel(
-        offset: int,
-        band: int,
-        scale: wp.vec3,
-        gamma: wp.array(dtype=float),
-        curve: wp.array(dtype=float),
-        image: wp.array(dtype=pixel),
-        valid: wp.array(dtype=wp.uint8),
-        counts: wp.array2d(dtype=wp.int64),
-    ):
-        i = wp.tid() + offset
-        if valid[i] > wp.uint8(0) and is_colour(as_value(image[i])):
-            wp.atomic_add(counts, band, bin_of(image[i], scale, gamma, curve), wp.int64(1))
-
-    return colour_histogram_kernel
 
 
 @lru_cache
 def _weight_kernel(pixel: Any, scalar: Any) -> Any:
-    bin_of = _bin_function(pixel)
+    bin_of = bin_function(pixel)
 
     @wp.kernel(module="unique", enable_backward=False)
     def rarity_weight_kernel(
         offset: int,
         band: int,
         scale: wp.vec3,
-        gamma: wp.array(dtype=float),
+        light: wp.array(dtype=float),
         curve: wp.array(dtype=float),
         image: wp.array(dtype=pixel),
         valid: wp.array(dtype=wp.uint8),
@@ -113,7 +48,7 @@ def _weight_kernel(pixel: Any, scalar: Any) -> Any:
         weights: wp.array(dtype=scalar),
     ):
         i = wp.tid() + offset
-        weight = table[bin_of(image[i], scale, gamma, curve)]
+        weight = table[bin_of(image[i], scale, light, curve)]
         if valid[i] < wp.uint8(255):
             weight = scalar(float(weight) * float(valid[i]) / 255.0)
         if not is_colour(as_value(image[i])):
@@ -121,6 +56,24 @@ def _weight_kernel(pixel: Any, scalar: Any) -> Any:
         weights[i] = weight
 
     return rarity_weight_kernel
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def _kept_kernel(
+    offset: int,
+    band: int,
+    valid: wp.array(dtype=wp.uint8),
+    table: wp.array(dtype=float),
+    weights: wp.array(dtype=float),
+):
+    i = wp.tid() + offset
+    bin = int(weights[i])
+    weight = float(0.0)
+    if bin >= 0:
+        weight = table[bin]
+        if valid[i] < wp.uint8(255):
+            weight = weight * float(valid[i]) / 255.0
+    weights[i] = weight
 
 
 def rarity_model(
@@ -150,45 +103,42 @@ def rarity_model(
         ValueError: If a parameter is out of range or shapes do not fit.
         TypeError: If a type is not supported.
     """
+    _check_parameters(threshold, exponent, smoothing_bins)
+    stack = Stack(images, device_of(images, device))
+    masks = valid_array(valid, stack)
+    return _measured(stack, masks, gains, (threshold, exponent, smoothing_bins))
+
+
+def _check_parameters(threshold: float | None, exponent: float, smoothing_bins: float) -> None:
     if threshold is not None and not threshold > 0.0:
         raise ValueError(f"threshold must be a positive probability, got {threshold!r}")
     if not exponent > 0.0:
         raise ValueError(f"exponent must be positive, got {exponent!r}")
     if not 0.0 <= smoothing_bins <= CHROMA_BINS:
         raise ValueError(f"smoothing_bins must lie in 0..{CHROMA_BINS}, got {smoothing_bins!r}")
-    stack = Stack(images, device_of(images, device))
-    masks = valid_array(valid, stack)
+
+
+def _measured(
+    stack: Stack,
+    masks: Any,
+    gains: Any,
+    parameters: tuple[float | None, float, float],
+    kept: Any = None,
+) -> RarityModel:
+    """Return the model of images; `kept`, one row an image, takes the bins, see `count_photo`."""
     require_unit_range(stack)
+    scales = pixel_scales(stack, gains)
+    tables = bin_tables(stack, scales)
     shape = counts_shape(stack.size, stack.channels, stack.device)
     counts = wp.zeros(shape, dtype=wp.int64, device=stack.device)
-    tables = lab_tables(stack.device)
-    scales = pixel_scales(stack, gains)
     for i in range(stack.count):
-        count_photo(stack.pixels[i], masks[i % masks.shape[0]], scales[i], tables, counts)
+        row = None if kept is None else kept[i]
+        valid = masks[i % masks.shape[0]]
+        count_photo(stack.pixels[i], valid, scales[i], tables[i], counts, row)
     total = counts.numpy().sum(axis=0)
     if stack.channels == 3:
         total = total.reshape(LIGHTNESS_BINS, CHROMA_BINS, CHROMA_BINS)
-    return model_from_counts(total, threshold, exponent, smoothing_bins)
-
-
-def counts_shape(size: int, channels: int, device: Any) -> tuple[int, int]:
-    """Return the shape of the histogram of images of a size [px]: one row a band."""
-    bins = _COLOUR_BINS if channels == 3 else GREY_BINS
-    return len(bands(size, device)), bins
-
-
-def count_photo(pixels: Any, valid: Any, scale: Any, tables: tuple[Any, Any], counts: Any) -> None:
-    """Add the colours of an image to a histogram.
-
-    Args:
-        pixels: Warp array (H * W) of pixels.
-        valid: Warp array (H * W), uint8, pixels to use.
-        scale: Vector that brings pixels to 0..1, see `arrays.pixel_scales`.
-        tables: From `colour_tables`.
-        counts: Warp array of `counts_shape`, int64, added to.
-    """
-    inputs = [scale, *tables, pixels, valid, counts]
-    launch(_count_kernel(pixels.dtype), pixels.size, inputs, pixels.device)
+    return model_from_counts(total, *parameters)
 
 
 def byte_table(model: RarityModel) -> NDArray[np.uint8]:
@@ -197,7 +147,7 @@ def byte_table(model: RarityModel) -> NDArray[np.uint8]:
 
 
 def weigh_photo(
-    pixels: Any, valid: Any, scale: Any, tables: tuple[Any, Any], table: Any, weights: Any
+    pixels: Any, valid: Any, scale: Any, tables: Tables, table: Any, weights: Any
 ) -> None:
     """Write the weight of every pixel of an image.
 
@@ -205,7 +155,7 @@ def weigh_photo(
         pixels: Warp array (H * W) of pixels.
         valid: Warp array (H * W), uint8, multiplied in.
         scale: Vector that brings pixels to 0..1, see `arrays.pixel_scales`.
-        tables: From `colour_tables`.
+        tables: From `bin_tables`.
         table: Warp array of the weight of each bin, uint8 or float32.
         weights: Warp array (H * W) of that type, written.
     """
@@ -253,11 +203,11 @@ def apply_rarity(
     shape = (stack.count, stack.height, stack.width)
     result = output_array(out, shape, scalar, stack.device, "out")
     target = pixel_view(result, scalar, (stack.count, stack.size))
-    tables = lab_tables(stack.device)
     scales = pixel_scales(stack, gains)
+    tables = bin_tables(stack, scales)
     for i in range(stack.count):
         valid_row = masks[i % masks.shape[0]]
-        weigh_photo(stack.pixels[i], valid_row, scales[i], tables, table, target[i])
+        weigh_photo(stack.pixels[i], valid_row, scales[i], tables[i], table, target[i])
     return like_input(result, images) if out is None else out
 
 
@@ -298,16 +248,22 @@ def rarity_weights(
         ValueError: If a parameter is out of range or shapes do not fit.
         TypeError: If a type is not supported.
     """
-    model = rarity_model(
-        images,
-        threshold=threshold,
-        exponent=exponent,
-        smoothing_bins=smoothing_bins,
-        valid=valid,
-        gains=gains,
-        device=device,
-    )
-    weights = apply_rarity(
-        images, model, dtype=dtype, valid=valid, gains=gains, out=out, device=device
-    )
-    return weights, model
+    _check_parameters(threshold, exponent, smoothing_bins)
+    parameters = (threshold, exponent, smoothing_bins)
+    stack = Stack(images, device_of(images, device))
+    masks = valid_array(valid, stack)
+    if scalar_type(dtype) is not wp.float32:  # bins do not fit into such weights
+        model = _measured(stack, masks, gains, parameters)
+        weights = apply_rarity(
+            images, model, dtype=dtype, valid=valid, gains=gains, out=out, device=device
+        )
+        return weights, model
+    shape = (stack.count, stack.height, stack.width)
+    result = output_array(out, shape, wp.float32, stack.device, "out")
+    target = pixel_view(result, wp.float32, (stack.count, stack.size))
+    model = _measured(stack, masks, gains, parameters, kept=target)
+    table: Any = wp.array(model.weights.reshape(-1), dtype=float, device=stack.device)
+    for i in range(stack.count):
+        inputs = [masks[i % masks.shape[0]], table, target[i]]
+        launch(_kept_kernel, stack.size, inputs, stack.device)
+    return like_input(result, images) if out is None else out, model

@@ -11,7 +11,7 @@ import warp as wp
 
 from hsvaos.kernels.device import launch
 from hsvaos.kernels.lab import lab_pixel, lab_tables
-from hsvaos.kernels.rarity import colour_bin
+from hsvaos.kernels.rarity_bins import colour_bin
 
 wp.set_module_options({"enable_backward": False})
 
@@ -94,7 +94,7 @@ class BinTable:
         Args:
             pixels: Warp array (H * W) of vec3ub.
             valid: Warp array (H * W), uint8, 0 = ignore.
-            counts: Warp array of `rarity.counts_shape`, int64, added to.
+            counts: Warp array of `rarity_bins.counts_shape`, int64, added to.
         """
         inputs = [self._table, pixels, valid, self._bins, counts]
         launch(_count_kernel, pixels.size, inputs, self._device)

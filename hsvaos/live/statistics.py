@@ -15,12 +15,8 @@ from numpy.typing import NDArray
 from hsvaos.hue_statistics import HueStatistics, hue_statistics
 from hsvaos.kernels.hue_mask import add_hues, histogram_of, sums_shape
 from hsvaos.kernels.lab import lab_tables
-from hsvaos.kernels.rarity import (
-    byte_table,
-    count_photo,
-    counts_shape,
-    weigh_photo,
-)
+from hsvaos.kernels.rarity import byte_table, weigh_photo
+from hsvaos.kernels.rarity_bins import count_photo, counts_shape
 from hsvaos.kernels.rarity_table import BinTable
 from hsvaos.rarity_model import CHROMA_BINS, LIGHTNESS_BINS, RarityModel, model_from_counts
 from hsvaos.settings import MaskSettings

@@ -55,6 +55,24 @@ def test_weights_equal_twin(device: str, seed: int, dtype: str) -> None:
     assert np.abs(eight_bit - np.maximum(255.0 * weights, 2.0)).max() <= 0.501
 
 
+@given(seed=seeds, dtype=dtypes)
+def test_bins_kept_give_the_weights_of_bins_found_again(device: str, seed: int, dtype: str) -> None:
+    images = random_images(seed, dtype)
+    rng = np.random.default_rng(seed)
+    if dtype == "float32":
+        images[rng.random(images.shape[:3]) > 0.8] = np.nan
+    if rng.random() < 0.3:
+        images = np.ascontiguousarray(images[..., 1])
+    valid = rng.choice([0, 100, 255], images.shape[:3]).astype(np.uint8)
+    more = {"valid": valid, "gains": rng.uniform(0.5, 2.0, (len(images), 3)), "device": device}
+    out = np.full(images.shape[:3], 7.0, np.float32)
+    weights, model = rarity_weights(images, dtype="float32", out=out, **more)
+    assert weights is out
+    np.testing.assert_array_equal(out, apply_rarity(images, model, dtype="float32", **more))
+    measured = rarity_model(images, **more)
+    np.testing.assert_array_equal(model.counts, measured.counts)
+
+
 @given(seed=seeds, sigma=st.floats(0.5, 3.0))
 def test_table_equals_twin(seed: int, sigma: float) -> None:
     counts = np.random.default_rng(seed).poisson(0.2, (10, 40, 40)) * 50
