@@ -109,6 +109,16 @@ _BY_PIXELS = {
 }
 RACES |= {name: partial(scaled, frames, 512, 512) for frames, name in _BY_FRAMES.items()}
 RACES |= {name: partial(scaled, 30, 1024, side) for side, name in _BY_PIXELS.items()}
+_AS_JKU = {
+    _BY_FRAMES[30]: (30 * 512 * 512, 110.0),
+    "integral image, 10 RGB photos with masks": (10 * 1024 * 1024, 197.0),
+}
+RACES["integral image, 10 RGB photos with masks"] = partial(scaled, 10, 1024, 1024)
+ELSEWHERE = {
+    "JKU's renderer on software OpenGL": _AS_JKU,
+}
+"""Peers that do not run here: race -> samples (pixels x photos), and their CPU milliseconds of the
+same sizes, measured once on a machine of this class with 2 cores."""
 SCALINGS = {
     "photos of 512 x 512, to one integral of 512 x 512": _BY_FRAMES,
     "side of the integral [px], from 30 photos of 1024 x 1024": _BY_PIXELS,

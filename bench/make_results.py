@@ -90,6 +90,23 @@ def growth_table(title: str, grown: dict[Any, Medians]) -> list[str]:
     return [*lines, ""]
 
 
+def elsewhere_table(peer: str, printed: dict[str, Any], medians: dict[str, Medians]) -> list[str]:
+    """Lines of a table beside a peer that cannot run here, by nanoseconds a sample."""
+    lines = [
+        f"| work | samples | hsvaos, ns a sample | {peer}, measured before | ratio |",
+        "| --- | ---: | ---: | ---: | ---: |",
+    ]
+    for name, (samples, theirs_ms) in printed.items():
+        if name in medians:
+            ours = 1e9 * next(iter(medians[name].values())) / samples
+            theirs = 1e6 * theirs_ms / samples
+            lines.append(
+                f"| {name} | {samples / 1e6:.1f} M | {ours:.1f} | {theirs:.1f} | "
+                f"{theirs / ours:.1f} |"
+            )
+    return [*lines, ""] if len(lines) > 2 else []
+
+
 def heading(machine: Machine, rounds: int, command: str) -> list[str]:
     """Where and how it was measured."""
     versions = ", ".join(f"{name} {version}" for name, version in machine.versions.items())
@@ -114,6 +131,7 @@ def measured(run: Runner) -> list[str]:
     races = {n: make for m in modules for n, make in getattr(m, "RACES", {}).items()}
     gpu_races = {n: make for m in modules for n, make in getattr(m, "GPU_RACES", {}).items()}
     scalings = {t: x for m in modules for t, x in getattr(m, "SCALINGS", {}).items()}
+    elsewhere = {p: x for m in modules for p, x in getattr(m, "ELSEWHERE", {}).items()}
     growing = {name for by in scalings.values() for name in by.values()}
     medians = dict(run(races))
     alone = ((name, found) for name, found in medians.items() if name not in growing)
@@ -122,6 +140,8 @@ def measured(run: Runner) -> list[str]:
     for title, by in scalings.items():
         grown = {value: medians[name] for value, name in by.items() if name in medians}
         lines += growth_table(title, grown) if grown else []
+    for peer, printed in elsewhere.items():
+        lines += elsewhere_table(peer, printed, medians)
     lines += ["## On CUDA", ""]
     if any(device.is_cuda for device in _devices()):
         lines += race_table(run(gpu_races, wall_clock), "ms")

@@ -16,7 +16,7 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -56,6 +56,9 @@ GSD_M = 0.05
 FLOOR = 0.02
 """Least score of a box: precision-recall curves need the weak ones too."""
 
+COCO_WINDOW_PX = 160
+"""Side of the windows that a network trained on COCO sees, enlarged to its own input."""
+
 Layers = Mapping[str, Layer]
 
 
@@ -76,8 +79,13 @@ class Method:
     everywhere: bool = False
 
 
-def methods() -> dict[str, Method]:
-    """Return all methods by name."""
+def methods(coco: Path | None = None) -> dict[str, Method]:
+    """Return all methods by name.
+
+    Args:
+        coco: A network trained on COCO, as ONNX; windows of half its input are enlarged for it,
+            since people are 10 x 34 pixels here.
+    """
     detector = Detector(score=FLOOR)
     score = Detector().score
     peaks = DetectSettings()
@@ -104,6 +112,18 @@ def methods() -> dict[str, Method]:
         low = replace(peaks, min_z=0.5 * peaks.min_z)
         return lambda layers: find_persons(layers[name][0][..., 0], layers[name][1], GSD_M, low)
 
+    def of_coco() -> dict[str, Method]:
+        network = Detector(coco, score=FLOOR, slice_px=COCO_WINDOW_PX)
+        score = Detector(coco).score
+
+        def find(name: str) -> Callable[[Layers], Detections]:
+            return lambda layers: network.detect(layers[name][0])
+
+        return {
+            "COCO network, AOS": Method(find("plain"), score),
+            "COCO network, HSV-AOS": Method(find("hue"), score),
+        }
+
     both = ("true", "ekf")
     return {
         "AOS": Method(image("plain"), score, both, True),
@@ -117,6 +137,7 @@ def methods() -> dict[str, Method]:
         "all but coherence": Method(everything(coherence=False), score),
         "peaks of rarity": Method(of_peaks("rarity_map"), peaks.min_z),
         "peaks of RX": Method(of_peaks("anomaly_map"), peaks.min_z),
+        **({} if coco is None else of_coco()),
     }
 
 
@@ -140,35 +161,36 @@ def integrators(photos: Photos, ablation: bool) -> dict[str, Integrator]:
 
 
 def measure(
-    folder: Path, track: str, use: dict[str, Method], device: str = "cpu"
-) -> dict[str, FlightResult]:
-    """Return the result of every method on one flight."""
+    folder: Path, wanted: Mapping[str, Mapping[str, Method]], device: str = "cpu"
+) -> Iterator[tuple[str, str, FlightResult]]:
+    """Yield track, method and result of every method that is wanted with these poses."""
     true = hsvaos.open_flight(folder)
+    photos = load_photos(true, device=device)
+    ablation = any(not m.everywhere for methods in wanted.values() for m in methods.values())
+    by_name = integrators(photos, ablation)  # nothing but the poses differs between the tracks
+    for track, use in wanted.items():
+        flight = posed(photos.flight, folder, track)
+        moved = {name: one.at_poses(flight.poses) for name, one in by_name.items()}
+        for name, result in _measure_track(true, flight, moved, use).items():
+            yield track, name, result
+
+
+def _measure_track(
+    true: Flight, flight: Flight, by_name: dict[str, Integrator], use: Mapping[str, Method]
+) -> dict[str, FlightResult]:
+    """Return the result of every method with the poses of a flight."""
     people = read_truth(true)
-    flight = posed(true, folder, track)
-    photos = load_photos(flight, device=device)
-    flight = photos.flight
     surface = FocalPlane(flight.ground_down_m or 0.0)
     chosen = range(0, len(flight), STRIDE)
     side = round(flight.camera.width * _shrink(flight))
     small = flight.camera.without_distortion().scaled(side, side)
     views = [VirtualCamera(small, flight.poses[k]) for k in chosen]
-    grid = grid_for(flight, views, surface, ViewSettings())
-    if grid is None:
-        raise RuntimeError(f"{folder}: no ground grid can stand for the views")
-    layers: dict[str, Layer] = {}
-    by_name = integrators(photos, any(not m.everywhere for m in use.values()))
-    for name, integrator in by_name.items():
-        image, footprint = integrator.integrate(grid, surface)
-        layers[name] = (np.asarray(image.numpy()), np.asarray(footprint.numpy()))
-    agreed, coherence = by_name["rarity"].coherence(grid, surface)
-    layers["coherence"] = (np.asarray(agreed.numpy()), np.asarray(coherence.numpy()))
-    ground = GroundMap(grid, layers)
+    ground = _ground(flight, views, surface, by_name)
     area = ground_seen_ha(flight, surface)
     judged: dict[str, list[JudgedView]] = {name: [] for name in use}
     reported: dict[str, list[ViewFinds]] = {name: [] for name in use}
     for k, view in zip(chosen, views, strict=True):
-        hits = focal_points(view, surface, device=device).numpy()
+        hits = focal_points(view, surface, device=by_name["plain"].device).numpy()
         hits = hits.reshape(view.height, view.width, 4)
         seen = ground.seen_from(view, hits)
         truth = truth_boxes(people, view)
@@ -181,7 +203,7 @@ def measure(
     detect = DetectSettings()
     return {
         name: FlightResult(
-            folder.name,
+            true.name,
             tuple(judged[name]),
             merge_views(
                 reported[name],
@@ -194,6 +216,25 @@ def measure(
         )
         for name, method in use.items()
     }
+
+
+def _ground(
+    flight: Flight,
+    views: list[VirtualCamera],
+    surface: FocalPlane,
+    by_name: dict[str, Integrator],
+) -> GroundMap:
+    """Integrate the ground once, in every way."""
+    grid = grid_for(flight, views, surface, ViewSettings())
+    if grid is None:
+        raise RuntimeError(f"{flight.name}: no ground grid can stand for the views")
+    layers: dict[str, Layer] = {}
+    for name, integrator in by_name.items():
+        image, footprint = integrator.integrate(grid, surface)
+        layers[name] = (np.asarray(image.numpy()), np.asarray(footprint.numpy()))
+    agreed, coherence = by_name["rarity"].coherence(grid, surface)
+    layers["coherence"] = (np.asarray(agreed.numpy()), np.asarray(coherence.numpy()))
+    return GroundMap(grid, layers)
 
 
 def posed(flight: Flight, folder: Path, track: str) -> Flight:
@@ -210,37 +251,36 @@ def _shrink(flight: Flight) -> float:
     return min(1.0, height / flight.camera.fx / GSD_M)
 
 
-def run(flights: Path, results: Path, part: int, parts: int) -> None:
+def run(flights: Path, results: Path, part: int, parts: int, coco: Path | None) -> None:
     """Measure what is missing."""
     results.mkdir(parents=True, exist_ok=True)
-    known = methods()
+    known = methods(coco)
     folders = sorted(p for p in flights.iterdir() if (p / "truth.json").exists())
     folders.sort(key=lambda p: p.name.rsplit("_", 1)[::-1])  # seed by seed, all forests
     first = [f"_{seed}" for seed in range(FIRST_SEED, FIRST_SEED + ABLATION_SEEDS)]
     for everywhere in (True, False):  # what all tables need comes first
         for folder in folders[part::parts]:
-            for track in ("true", "ekf"):
-                wanted = {
-                    name: method
-                    for name, method in known.items()
-                    if track in method.tracks
-                    and method.everywhere == everywhere
-                    and (everywhere or folder.name.endswith(tuple(first)))
-                    and not _file(results, folder.name, track, name).exists()
-                }
-                if wanted:
-                    _measure_all(folder, track, wanted, results)
+            wanted: dict[str, dict[str, Method]] = {"true": {}, "ekf": {}}
+            for name, method in known.items():
+                if method.everywhere == everywhere and (
+                    everywhere or folder.name.endswith(tuple(first))
+                ):
+                    for track in method.tracks:
+                        if not _file(results, folder.name, track, name).exists():
+                            wanted[track][name] = method
+            if any(wanted.values()):
+                _measure_all(folder, wanted, results)
 
 
-def _measure_all(folder: Path, track: str, wanted: dict[str, Method], results: Path) -> None:
+def _measure_all(folder: Path, wanted: dict[str, dict[str, Method]], results: Path) -> None:
     began = time.monotonic()
-    for name, result in measure(folder, track, wanted).items():
+    for track, name, result in measure(folder, wanted):
         path = _file(results, folder.name, track, name)
         partial = path.with_suffix(".part")
         partial.write_text(result.to_json())
         partial.replace(path)
-    seconds = time.monotonic() - began
-    print(f"{folder.name} {track}, {len(wanted)} methods: {seconds:.0f} s", flush=True)
+    count = sum(len(use) for use in wanted.values())
+    print(f"{folder.name}, {count} results: {time.monotonic() - began:.0f} s", flush=True)
 
 
 def _file(results: Path, flight: str, track: str, method: str) -> Path:
@@ -291,6 +331,7 @@ def main() -> int:
     running.add_argument("results", type=Path)
     running.add_argument("--part", type=int, default=0)
     running.add_argument("--parts", type=int, default=1)
+    running.add_argument("--coco", type=Path, help="a network trained on COCO, for the ablation")
     errors = commands.add_parser("poses")
     errors.add_argument("flights", type=Path)
     errors.add_argument("results", type=Path)
@@ -299,7 +340,7 @@ def main() -> int:
     asked = parser.parse_args()
     if asked.command == "run":
         quiet_start()
-        run(asked.flights, asked.results, asked.part, asked.parts)
+        run(asked.flights, asked.results, asked.part, asked.parts, asked.coco)
     elif asked.command == "poses":
         pose_errors(asked.flights, asked.results)
     else:
