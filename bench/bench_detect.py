@@ -14,7 +14,7 @@ from hsvaos.benchmark.scenes import photos
 from hsvaos.detect.anomaly import find_persons
 from hsvaos.detect.layouts import own_channels
 from hsvaos.detect.network import Network
-from hsvaos.detect.network_input import network_input
+from hsvaos.detect.network_input import CHANNELS, network_input
 from hsvaos.detect.yolo import PACKAGED
 from hsvaos.settings import DetectSettings
 
@@ -34,7 +34,9 @@ def one_view(side: int) -> Callable[[], Contenders]:
         images, rays, rarity = (part[0] for part in layers(1, size(side)))
         detector = Detector(provider="cpu")
         alone = Network(PACKAGED, "cpu")
-        planes = network_input(images, rays, rarity)[None, list(own_channels(alone))]
+        planes = network_input(images, rays, rarity)[
+            None, [CHANNELS.index(n) for n in own_channels(alone)]
+        ]
         network = cv2.dnn.readNetFromONNX(str(PACKAGED))
 
         def opencv() -> None:

@@ -10,6 +10,7 @@ import argparse
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -64,12 +65,12 @@ def main() -> int:
 def train(work: Path, maps: Path, tuning: Path, asked: argparse.Namespace) -> int:
     """Fit, choose the threshold, export."""
     from train.export import export
-    from train.fit import BATCH, fit
+    from train.fit import BATCH, Crops, fit
     from train.judge import judge, threshold
 
     held_out = sorted(tuning.glob("*.npz"))
     net = fit(
-        maps,
+        partial(Crops, maps),
         work,
         steps=asked.steps,
         seed=asked.seed,

@@ -49,8 +49,8 @@ def draw_figures(
         x, y = middle
         part = image[y - half : y + half, x - half : x + half]
         person = number % 2 == 0
-        shape = _figure(2 * half, pixel_m, rng) if person else _thing(2 * half, pixel_m, rng)
-        hidden = shape * _leaves(2 * half, rng)
+        shape = draw_person(2 * half, pixel_m, rng) if person else _thing(2 * half, pixel_m, rng)
+        hidden = shape * draw_leaves(2 * half, rng)
         if shape.max() <= 0.5 or hidden.sum() < _LEAST_SHOWN * shape.sum():
             continue
         taken.append(middle)
@@ -96,7 +96,7 @@ def _shrunk(canvas: NDArray[np.uint8], side: int, rng: np.random.Generator) -> P
     return cv2.GaussianBlur(small / 255.0, (0, 0), sigma).astype(np.float32)
 
 
-def _figure(side: int, pixel_m: float, rng: np.random.Generator) -> Plane:
+def draw_person(side: int, pixel_m: float, rng: np.random.Generator) -> Plane:
     """Draw a person from above: lying, curled up, or sitting, which is hardly more than a disc."""
     canvas = np.zeros((side * _FINER, side * _FINER), dtype=np.uint8)
     unit = _FINER / pixel_m * float(rng.uniform(0.85, 1.12))
@@ -150,7 +150,7 @@ def _thing(side: int, pixel_m: float, rng: np.random.Generator) -> Plane:
     return _shrunk(canvas, side, rng)
 
 
-def _leaves(side: int, rng: np.random.Generator) -> Plane:
+def draw_leaves(side: int, rng: np.random.Generator) -> Plane:
     """Return how much leaves let through, 0..1, in soft patches."""
     noise = rng.standard_normal((side, side), dtype=np.float32)
     noise = cv2.GaussianBlur(noise, (0, 0), float(rng.uniform(1.0, 7.0)))

@@ -4,19 +4,28 @@ from __future__ import annotations
 
 import json
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import onnx
 import torch
 
-from hsvaos.detect.network_input import CHANNELS, TRAINED_GSD_M
+from hsvaos.detect.network_input import AIM_GSD_M, CHANNELS, TRAINED_GSD_M
 from train.net import MULTIPLE, Exported, PersonNet
 
 _OPSET = 17
 
 
-def export(net: PersonNet, path: Path, score_threshold: float, story: dict[str, object]) -> None:
+def export(
+    net: PersonNet,
+    path: Path,
+    score_threshold: float,
+    story: dict[str, object],
+    channels: Sequence[str] = CHANNELS,
+    gsd_m: tuple[float, float] = TRAINED_GSD_M,
+    aim_gsd_m: float = AIM_GSD_M,
+) -> None:
     """Write the network as ONNX of dynamic batch and size.
 
     Args:
@@ -24,9 +33,12 @@ def export(net: PersonNet, path: Path, score_threshold: float, story: dict[str, 
         path: The file.
         score_threshold: Default threshold.
         story: How it was trained; kept in the metadata.
+        channels: Names of its input channels.
+        gsd_m: Ground sampling distances that need no resampling [m/px].
+        aim_gsd_m: The one to which others are resampled [m/px].
     """
     whole = Exported(net).eval()
-    example = torch.zeros(1, len(CHANNELS), 4 * MULTIPLE, 6 * MULTIPLE)
+    example = torch.zeros(1, len(channels), 4 * MULTIPLE, 6 * MULTIPLE)
     part = path.with_name(path.name + ".part")
     with warnings.catch_warnings():
         warnings.simplefilter(
@@ -47,14 +59,15 @@ def export(net: PersonNet, path: Path, score_threshold: float, story: dict[str, 
             dynamo=False,
         )
     model = onnx.load(str(part))
-    low, high = TRAINED_GSD_M
+    low, high = gsd_m
     facts = {
         "layout": "hsvaos",
         "names": "{0: 'person'}",
         "stride": str(MULTIPLE),
-        "channels": ",".join(CHANNELS),
+        "channels": ",".join(channels),
         "score_threshold": f"{score_threshold:.3f}",
         "gsd_m": f"{low},{high}",
+        "aim_gsd_m": f"{aim_gsd_m}",
         "license": "Apache-2.0",
         "training": json.dumps(story),
     }
@@ -72,7 +85,8 @@ def _compare(net: Exported, path: Path) -> None:
     import onnxruntime
 
     rng = np.random.default_rng(0)
-    x = rng.standard_normal((2, len(CHANNELS), 10 * MULTIPLE, 7 * MULTIPLE), dtype=np.float32)
+    size = 10 * MULTIPLE, 7 * MULTIPLE
+    x = rng.standard_normal((2, net.net.channels, *size), dtype=np.float32)
     session = onnxruntime.InferenceSession(path.read_bytes(), providers=["CPUExecutionProvider"])
     have = session.run(["boxes", "scores"], {"input": x})
     with torch.no_grad():

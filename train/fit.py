@@ -1,11 +1,11 @@
-"""Fit the person network to ground maps."""
+"""Fit a person network to crops."""
 
 from __future__ import annotations
 
 import csv
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 from itertools import islice
 from pathlib import Path
@@ -66,7 +66,7 @@ def collate(samples: list[Sample]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         samples: A batch.
 
     Returns:
-        whole (B, 14, 256, 256), wanted (B, n), boxes (B, n, 4), number of people (B,).
+        whole (B, C, 256, 256), wanted (B, n), boxes (B, n, 4), number of people (B,).
     """
     side = CROP_PX // STRIDE
     centres = cell_centres(side, side).numpy().astype(np.float64)
@@ -145,7 +145,7 @@ def _short_floats() -> bool:
 
 
 def fit(
-    maps: Path,
+    source: Callable[[int], IterableDataset[Any]],
     out: Path,
     *,
     steps: int,
@@ -155,11 +155,12 @@ def fit(
     tune_every: int = 1500,
     start_from: Path | None = None,
     rate: float = 2e-3,
+    new_net: Callable[[], PersonNet] = PersonNet,
 ) -> PersonNet:
-    """Train from the maps of a folder; goes on where it was stopped.
+    """Train on crops; goes on where it was stopped.
 
     Args:
-        maps: Folder of maps.
+        source: Makes endless batches of crops from a seed, as `Crops` does.
         out: Folder for the state, the averaged weights and the curve.
         steps: Batches in all.
         seed: Of initial weights and crops.
@@ -168,6 +169,7 @@ def fit(
         tune_every: Steps between such calls.
         start_from: An exported network whose training goes on; by default a new one.
         rate: Highest learning rate.
+        new_net: Makes a network of new weights.
 
     Raises:
         ValueError: If a stopped run in `out` had begun from other weights.
@@ -175,7 +177,7 @@ def fit(
     torch.manual_seed(seed)
     out.mkdir(parents=True, exist_ok=True)
     state_path, start = out / "state.pt", 0
-    net, mean = PersonNet(), PersonNet()
+    net, mean = new_net(), new_net()
     state = torch.load(state_path) if state_path.exists() else None
     begun_from = str(start_from) if start_from is not None else None
     if state is not None and state.get("start_from") != begun_from:
@@ -184,7 +186,7 @@ def fit(
             f"{begun_from or 'new weights'}; move it away to begin anew"
         )
     if start_from is not None and state is None:
-        some = islice(Crops(maps, seed + 7), _MEASURED_ON)
+        some = islice(source(seed + 7), _MEASURED_ON)
         net = unfolded(start_from, (batch[0] for batch in some))
     net = net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     mean.load_state_dict(net.state_dict())
@@ -195,7 +197,10 @@ def fit(
         optimizer.load_state_dict(state["optimizer"])
         start = int(state["step"])
     loader = DataLoader(
-        Crops(maps, seed + 1000 * start), batch_size=None, num_workers=workers, prefetch_factor=4
+        source(seed + 1000 * start),
+        batch_size=None,
+        num_workers=workers,
+        prefetch_factor=4 if workers else None,
     )
     sums: dict[str, float] = {}
     began = time.monotonic()

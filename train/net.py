@@ -37,22 +37,33 @@ class _Residual(nn.Module):
 
 
 class PersonNet(nn.Module):
-    """Maps the 14 channels of `network_input` to a score and a box at every eighth pixel.
+    """Maps channels of `network_input` to a score and a box at every eighth pixel.
 
     Args:
-        channels: Input channels.
+        channels: Input channels, by default all.
+        widths: Channels after the first two layers, at stride 8 and 16, and of the head.
     """
 
-    def __init__(self, channels: int = len(CHANNELS)) -> None:
+    def __init__(
+        self,
+        channels: int = len(CHANNELS),
+        widths: tuple[int, int, int, int, int] = (24, 40, 72, 96, 64),
+    ) -> None:
         super().__init__()
-        self.stem = nn.Sequential(_conv(channels, 24, 5, 2), _conv(24, 40, 3, 2), _Residual(40))
-        self.middle = nn.Sequential(_conv(40, 72, 3, 2), _Residual(72), _Residual(72))
-        self.deep = nn.Sequential(_conv(72, 96, 3, 2), _Residual(96))
-        self.lift = _conv(96, 72, 1)
-        self.join = _conv(144, 72)
-        self.head = _conv(72, 64)
-        self.score = nn.Conv2d(64, 1, 1)
-        self.box = nn.Conv2d(64, 4, 1)
+        first, second, middle, deep, head = widths
+        self.channels = channels
+        self.stem = nn.Sequential(
+            _conv(channels, first, 5, 2), _conv(first, second, 3, 2), _Residual(second)
+        )
+        self.middle = nn.Sequential(
+            _conv(second, middle, 3, 2), _Residual(middle), _Residual(middle)
+        )
+        self.deep = nn.Sequential(_conv(middle, deep, 3, 2), _Residual(deep))
+        self.lift = _conv(deep, middle, 1)
+        self.join = _conv(2 * middle, middle)
+        self.head = _conv(middle, head)
+        self.score = nn.Conv2d(head, 1, 1)
+        self.box = nn.Conv2d(head, 4, 1)
         nn.init.constant_(self.score.bias, -4.6)
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:

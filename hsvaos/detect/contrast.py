@@ -23,15 +23,18 @@ _LEAST_DEVIATION = 0.1
 """In medians of the deviation over the image: flat surroundings must not show noise as contrast."""
 
 
-def local_contrast(picture: Plane, seen: NDArray[np.bool_]) -> Plane:
+def local_contrast(
+    picture: Plane, seen: NDArray[np.bool_], surround_px: int = _SURROUND_PX
+) -> Plane:
     """Return how far each pixel is from the mean of its surround, in deviations of that surround.
 
-    The surround is a square of 129 pixels. Its mean and deviation are those of the values clipped
-    at 3 deviations; one deviation for all channels together, so that hue stays.
+    The surround is a square, of 129 pixels by default. Its mean and deviation are those of the
+    values clipped at 3 deviations; one deviation for all channels together, so that hue stays.
 
     Args:
         picture: Shape (H, W, C), any unit, finite.
         seen: Shape (H, W), the pixels that count; others get 0.
+        surround_px: Side of the surround [px].
 
     Returns:
         Shape (C, H, W).
@@ -40,7 +43,7 @@ def local_contrast(picture: Plane, seen: NDArray[np.bool_]) -> Plane:
     out = np.zeros((channels, *picture.shape[:2]), dtype=np.float32)
     if not seen.any():
         return out
-    surround = _Surround(seen)
+    surround = _Surround(seen, surround_px)
     # a shift of the origin keeps the sums of squares exact
     offset = np.array(cv2.mean(picture, seen.view(np.uint8))[:channels], dtype=np.float32)
     # channel by channel and in place: sums over the last axis would cost most of the time
@@ -67,13 +70,13 @@ def local_contrast(picture: Plane, seen: NDArray[np.bool_]) -> Plane:
 class _Surround:
     """Means over the surround of every pixel, of the pixels that are seen."""
 
-    def __init__(self, seen: NDArray[np.bool_]) -> None:
+    def __init__(self, seen: NDArray[np.bool_], side_px: int) -> None:
         self._known = None if seen.all() else seen.astype(np.float32)
         height, width = seen.shape
         self._size = width, height
         coarser = _COARSER if min(seen.shape) >= 4 * _COARSER else 1
         self._small = -(-width // coarser), -(-height // coarser)
-        side = (_SURROUND_PX // coarser) | 1
+        side = (side_px // coarser) | 1
         self._box = side, side
         known = np.ones(seen.shape, np.float32) if self._known is None else self._known
         self.share = self._reduced(known)

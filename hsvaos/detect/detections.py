@@ -36,6 +36,11 @@ class Detections:
     def __len__(self) -> int:
         return len(self.scores)
 
+    def above(self, score: float) -> Detections:
+        """Return those that score at least so much."""
+        kept = self.scores >= score
+        return Detections(self.boxes_xyxy[kept], self.scores[kept], self.class_ids[kept])
+
     @classmethod
     def none(cls) -> Detections:
         """Return no detections."""

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from hsvaos.camera import finite_number
 from hsvaos.detect.fitting import Placement, as_bytes, fitted, padded
+from hsvaos.detect.grey_input import GREY_CHANNELS, grey_input
 from hsvaos.detect.layouts import Layout, input_size, own_channels
 from hsvaos.detect.network import Network
-from hsvaos.detect.network_input import AIM_GSD_M, TRAINED_GSD_M, network_input
+from hsvaos.detect.network_input import AIM_GSD_M, CHANNELS, TRAINED_GSD_M, network_input
 from hsvaos.detect.view_input import ViewInput, Window, trained_size, windows
 
 Array = NDArray[Any]
@@ -127,8 +128,12 @@ class OwnFeed:
 
     def __init__(self, network: Network, layout: Layout, slice_px: int | None) -> None:
         self._stride = _stride(network)
-        self._channels = list(own_channels(network))
+        names = own_channels(network)
+        self._grey = names[0] in GREY_CHANNELS
+        known = GREY_CHANNELS if self._grey else CHANNELS
+        self._channels = [known.index(name) for name in names]
         self.score = _threshold(network, layout.score)
+        self._gsd_m, self._aim_m = _trained_gsd(network)
         self._fixed = network.picture.shape[2:]
         height, width = (
             size or (sys.maxsize if slice_px == 0 else _OWN_SIDE) for size in self._fixed
@@ -154,7 +159,7 @@ class OwnFeed:
         if gsd_m is not None:
             if not (gsd := finite_number(gsd_m, "gsd_m")) > 0.0:
                 raise ValueError(f"gsd_m must be a positive number of metres, got {gsd_m!r}")
-            view = view.resized(*trained_size(view.size, gsd, TRAINED_GSD_M, AIM_GSD_M))
+            view = view.resized(*trained_size(view.size, gsd, self._gsd_m, self._aim_m))
         scale = view.size[1] / width, view.size[0] / height
         for window in windows(view.size, self._side, self._overlap):
             part = view.cut(window)
@@ -162,10 +167,14 @@ class OwnFeed:
                 yield Tile(number, self._planes(part), Placement(), window, scale)
 
     def _planes(self, view: ViewInput) -> Array:
-        agreed = None
-        if view.coherent is not None and view.coherence is not None:
-            agreed = (view.coherent, view.coherence)
-        planes = network_input(view.image, view.footprint, view.rarity, view.plain, agreed)
+        if self._grey:
+            flat = view.as_grey()
+            planes = grey_input(flat.image, flat.footprint)
+        else:
+            agreed = None
+            if view.coherent is not None and view.coherence is not None:
+                agreed = (view.coherent, view.coherence)
+            planes = network_input(view.image, view.footprint, view.rarity, view.plain, agreed)
         if self._channels != list(range(len(planes))):
             planes = planes[self._channels]
         height, width = (
@@ -186,6 +195,22 @@ def _threshold(network: Network, default: float) -> float:
             f"{network.name}: expected score_threshold from 0 to 1 in the metadata, got {text!r}"
         )
     return value
+
+
+def _trained_gsd(network: Network) -> tuple[tuple[float, float], float]:
+    """Ground sampling distances between which a network was trained, and the best one [m/px]."""
+    texts = network.metadata.get("gsd_m"), network.metadata.get("aim_gsd_m")
+    try:
+        low, high = TRAINED_GSD_M if texts[0] is None else map(float, texts[0].split(","))
+        aim = AIM_GSD_M if texts[1] is None else float(texts[1])
+    except ValueError:
+        low, high, aim = 0.0, 0.0, 0.0
+    if not 0.0 < low <= aim <= high < np.inf:
+        raise ValueError(
+            f"{network.name}: expected gsd_m in the metadata as two distances in metres, and "
+            f"aim_gsd_m between them (by default {AIM_GSD_M:g}), got {texts[0]!r} and {texts[1]!r}"
+        )
+    return (low, high), aim
 
 
 def _stride(network: Network) -> int:

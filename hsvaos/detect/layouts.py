@@ -11,6 +11,7 @@ import numpy as np
 
 from hsvaos.detect import decode
 from hsvaos.detect.classes import class_names
+from hsvaos.detect.grey_input import GREY_CHANNELS
 from hsvaos.detect.network import Network
 from hsvaos.detect.network_input import CHANNELS
 
@@ -122,10 +123,11 @@ def layout_of(network: Network, asked: str) -> tuple[Layout, Shapes]:
     return layout, shapes
 
 
-def own_channels(network: Network) -> tuple[int, ...]:
-    """Return which channels of `network_input` a network of our own takes, in its order.
+def own_channels(network: Network) -> tuple[str, ...]:
+    """Return the names of the channels that a network of our own takes, in its order.
 
-    Its metadata name them, so that a network goes on working when later ones are shown more.
+    Its metadata name them, so that a network goes on working when later ones are shown more. All
+    are channels of `network_input`, or all of `grey_input`.
 
     Args:
         network: The network.
@@ -135,15 +137,16 @@ def own_channels(network: Network) -> tuple[int, ...]:
     """
     told = network.metadata.get("channels")
     if told is None:
-        return tuple(range(len(CHANNELS)))
-    names = [name.strip() for name in told.split(",")]
-    unknown = [name for name in names if name not in CHANNELS]
+        return CHANNELS
+    names = tuple(name.strip() for name in told.split(","))
+    known = GREY_CHANNELS if names[0] in GREY_CHANNELS else CHANNELS
+    unknown = [name for name in names if name not in known]
     if unknown:
         raise ValueError(
-            f"{network.name}: expected channels among {', '.join(CHANNELS)} in the metadata, got "
+            f"{network.name}: expected channels among {', '.join(known)} in the metadata, got "
             f"{unknown[0]!r}"
         )
-    return tuple(CHANNELS.index(name) for name in names)
+    return names
 
 
 def class_count(layout: Layout, shapes: Shapes) -> int | None:

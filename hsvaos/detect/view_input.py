@@ -47,6 +47,25 @@ class ViewInput:
         return self.image.shape[0], self.image.shape[1]
 
     @cached_property
+    def is_grey(self) -> bool:
+        """Whether the image has no colour: one channel, or three that are the same."""
+        if self.image.ndim == 2:
+            return True
+        red, green, blue = np.moveaxis(self.image, 2, 0)
+        nan = self.image.dtype.kind == "f"
+        return np.array_equal(red, green, equal_nan=nan) and np.array_equal(
+            red, blue, equal_nan=nan
+        )
+
+    def as_grey(self) -> ViewInput:
+        """Return the plain image in one channel, and where it was seen; colours are averaged."""
+        picture = self.image if self.plain is None else self.plain
+        if picture.ndim == 3:
+            alike = self.is_grey
+            picture = picture[..., 0] if alike else picture.mean(axis=2, dtype=np.float32)
+        return ViewInput(picture, self.footprint)
+
+    @cached_property
     def seen(self) -> NDArray[np.bool_] | None:
         """Shape (H, W), where something is seen; None: everywhere."""
         known = _known(self.image)

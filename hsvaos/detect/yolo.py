@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hsvaos.detect.agree import agreed
 from hsvaos.detect.classes import class_names, person_classes
 from hsvaos.detect.detections import Detections
 from hsvaos.detect.feed import OwnFeed, PhotoFeed, Tile
@@ -21,6 +23,12 @@ Array = NDArray[Any]
 
 PACKAGED = Path(__file__).with_name("person.onnx")
 """Our own weights."""
+
+PACKAGED_GREY = Path(__file__).with_name("person_grey.onnx")
+"""Our own weights for grey (thermal) images, with the same threshold."""
+
+_FLOOR = 0.05
+"""Score from which boxes count that another network may confirm."""
 
 _BATCH_PIXELS = 2**21
 """Pixels at a time, in as many pictures as that takes."""
@@ -37,7 +45,8 @@ class Detector:
         notes: What was assumed or could not be used, one line each.
 
     Args:
-        model: ONNX file or its content; by default our own weights.
+        model: ONNX file or its content; by default our own weights: one network for colour, and one
+            for grey images.
         layout: "auto", or a name in `layouts.LAYOUTS` where the network does not tell.
         score: Least score, 0..1; by default the one that belongs to the weights, or 0.25 for the
             YOLO families and 0.5 for RF-DETR and D-FINE.
@@ -73,6 +82,7 @@ class Detector:
         max_finds: int = 300,
         threads: int | None = None,
     ) -> None:
+        packaged = model is None
         if model is None:
             if not PACKAGED.is_file():
                 raise ValueError(
@@ -104,6 +114,22 @@ class Detector:
         else:
             self._feed = PhotoFeed(self._network, self._layout, side, part)
         self.score = self._feed.score if score is None else _share(score, "score")
+        self._for_grey: Callable[[], Detector] | None = None
+        if packaged and PACKAGED_GREY.is_file():
+            self._for_grey = lambda: Detector(
+                PACKAGED_GREY,
+                score=self.score,
+                iou=self._iou,
+                slice_px=slice_px,
+                provider=provider,
+                max_finds=max_finds,
+                threads=threads,
+            )
+
+    @cached_property
+    def _grey(self) -> Detector | None:
+        """What looks at grey images in place of this one, read when the first one comes."""
+        return None if self._for_grey is None else self._for_grey()
 
     def detect(
         self,
@@ -182,6 +208,34 @@ class Detector:
         many = isinstance(gsd_m, Sequence | np.ndarray) and not isinstance(gsd_m, str)
         distances = _one_each(gsd_m if many else [gsd_m] * count, count, "gsd_m")
         views = [checked_view(*arrays) for arrays in zip(pictures, *parts, strict=True)]
+        if self._for_grey is None:
+            return self._found(views, distances, self.score)
+        kinds = [_kind(view) for view in views]
+        finds = {}
+        for kind in set(kinds):
+            own = [k for k in range(count) if kinds[k] == kind]
+            found = self._found_in(kind, [views[k] for k in own], [distances[k] for k in own])
+            finds |= dict(zip(own, found, strict=True))
+        return [finds[k] for k in range(count)]
+
+    def _found_in(
+        self, kind: str, views: list[ViewInput], distances: list[Any]
+    ) -> list[Detections]:
+        """Let the networks look that know such views."""
+        grey = None if kind == "colour" else self._grey
+        if grey is None:
+            return self._found(views, distances, self.score)
+        if kind == "lone grey":
+            return grey._found(views, distances, self.score)
+        floor = min(_FLOOR, self.score)
+        both = (network._found(views, distances, floor) for network in (self, grey))
+        pairs = zip(*both, strict=True)
+        return [agreed(a, b, self._iou, self._most).above(self.score) for a, b in pairs]
+
+    def _found(
+        self, views: list[ViewInput], distances: list[Any], least: float
+    ) -> list[Detections]:
+        """Run the network over views; `distances` are ground sampling distances or None."""
         boxes: list[list[Array]] = [[] for _ in views]
         scores: list[list[Array]] = [[] for _ in views]
         tiles = (
@@ -191,7 +245,7 @@ class Detector:
         )
         for batch in self._batches(tiles):
             for tile, found, strength in zip(batch, *self._run(batch), strict=True):
-                good = usable(found, strength, self.score)
+                good = usable(found, strength, least)
                 places, kept = tile.back(found[good])
                 boxes[tile.view].append(places[kept])
                 scores[tile.view].append(strength[good][kept])
@@ -247,6 +301,13 @@ class Detector:
         iou = self._iou if self._layout.needs_nms or len(boxes) > 1 else None
         # from pixel k covering k to k + 1, as elsewhere, to pixel centres at integers
         return suppress(places - 0.5, strengths, iou, self._most)
+
+
+def _kind(view: ViewInput) -> str:
+    """What a view is, for networks that know one kind of view."""
+    if not view.is_grey:
+        return "colour"
+    return "lone grey" if view.rarity is None else "known grey"
 
 
 def _touches(boxes: Array, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:

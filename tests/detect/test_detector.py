@@ -291,6 +291,36 @@ def test_wrong_metadata_of_our_own(key: str, value: str) -> None:
         Detector(own_net([0.0] * 8, metadata=OWN | {key: value}))
 
 
+@pytest.mark.parametrize(
+    "told",
+    [
+        {"gsd_m": "0.04"},
+        {"gsd_m": "fine,coarse"},
+        {"gsd_m": "0.09,0.04"},
+        {"gsd_m": "0.04,0.09", "aim_gsd_m": "0.1"},
+        {"aim_gsd_m": "nan"},
+    ],
+)
+def test_wrong_sampling_distances_of_our_own(told: dict[str, str]) -> None:
+    with pytest.raises(ValueError, match="expected gsd_m in the metadata as two distances"):
+        Detector(own_net([0.0] * 8, metadata=OWN | told))
+
+
+def test_a_network_is_shown_the_sampling_that_it_asks_for() -> None:
+    seen: list[tuple[int, int]] = []
+
+    class Watched(Detector):
+        def _run(self, tiles):  # type: ignore[no-untyped-def]
+            seen.extend(tile.planes.shape[1:] for tile in tiles)
+            return super()._run(tiles)
+
+    told = OWN | {"gsd_m": "0.1,0.2", "aim_gsd_m": "0.16"}
+    detector = Watched(own_net([0.0] * 8, metadata=told))
+    for gsd_m in (0.15, 0.05, 0.32):
+        detector.detect(np.zeros((160, 320)), gsd_m=gsd_m)
+    assert seen == [(160, 320), (64, 112), (320, 640)]
+
+
 def test_files_that_are_no_network(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no such ONNX file"):
         Detector(tmp_path / "gone.onnx")

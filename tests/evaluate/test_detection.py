@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hsvaos.evaluate.detection import Matches, match_boxes, overlaps
+from hsvaos.detect.overlap import overlaps
+from hsvaos.evaluate.detection import Matches, match_boxes
 from tests.evaluate.strategies import View, coco_ap, views
 
 

@@ -1,5 +1,7 @@
 """The training recipe: its pieces, on drawn maps (extra `train`)."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from hsvaos.detect.network_input import CHANNELS, network_input  # noqa: E402
 from hsvaos.detect.yolo import Detector  # noqa: E402
 from train.drawn import draw_figures  # noqa: E402
 from train.export import export  # noqa: E402
-from train.fit import collate, fit, loss_of, overlap  # noqa: E402
+from train.fit import Crops, collate, fit, loss_of, overlap  # noqa: E402
 from train.flights import FIRST_TRAINING_SEED, FIRST_TUNING_SEED, flight_settings  # noqa: E402
 from train.maps import (  # noqa: E402
     COHERENCE,
@@ -171,14 +173,14 @@ def test_an_exported_network_comes_back_as_it_was_and_can_be_trained(tmp_path):
 
 def test_a_stopped_run_goes_on_from_its_own_weights_only(tmp_path):
     drawn_map(tmp_path / "flight_1_0.npz")
-    fit(tmp_path, tmp_path / "out", steps=1)
+    crops = partial(Crops, tmp_path)
+    fit(crops, tmp_path / "out", steps=1)
     with pytest.raises(ValueError, match=r"goes on from new weights, asked was .*person\.onnx"):
-        fit(tmp_path, tmp_path / "out", steps=2, start_from=tmp_path / "person.onnx")
+        fit(crops, tmp_path / "out", steps=2, start_from=tmp_path / "person.onnx")
 
 
-def test_a_file_of_another_network_is_not_brought_back(tmp_path, monkeypatch):
-    monkeypatch.setattr("train.export.CHANNELS", CHANNELS[:8])
-    export(PersonNet(channels=8), tmp_path / "other.onnx", 0.5, {})
+def test_a_file_of_another_network_is_not_brought_back(tmp_path):
+    export(PersonNet(channels=8), tmp_path / "other.onnx", 0.5, {}, CHANNELS[:8])
     with pytest.raises(ValueError, match="expected the convolutions"):
         unfolded(tmp_path / "other.onnx", [])
 
