@@ -301,7 +301,7 @@ def write_page(folder: Path) -> None:
         f"Flights: {counts}; seeds {', '.join(seeds)}, unseen in training and tuning. Each has "
         "117 photos of 1024 x 1024 (90 deg) from 20 m over 64 m x 64 m, and twelve people, three "
         "of each occlusion class. Poses: the true ones, and those of the package's error-state "
-        "filter and smoother (`poses_ekf.csv` of each flight). Views: every sixth stored pose, "
+        "filter and smoother (`poses_ekf.csv` of each flight). Views: every twelfth stored pose, "
         "drawn at 5 cm a pixel. All methods but the peaks use the same network, trained for "
         "every kind of image in the same run: AOS is the plain mean, HSV-AOS the paper's form "
         "(linear hue statistics of each photo, 2 sigma cut, dark ground brightened), both seen "
