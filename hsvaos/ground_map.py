@@ -77,9 +77,11 @@ class GroundMap:
 
 
 def _resampled(sums: NDArray[np.float32], x: NDArray[np.float32], y: NDArray[np.float32]) -> Layer:
-    drawn = cv2.remap(sums, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    drawn = np.asarray(
+        cv2.remap(sums, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT), dtype=np.float32
+    )
     rays = np.ascontiguousarray(drawn[..., -1])
-    mean = drawn[..., :-1] / np.maximum(rays, np.float32(1e-12))[..., None]
+    mean: NDArray[np.float32] = drawn[..., :-1] / np.maximum(rays, np.float32(1e-12))[..., None]
     mean[rays <= 0.0] = 0.0
     return mean, rays
 

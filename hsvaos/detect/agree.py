@@ -58,7 +58,10 @@ def _partners(share: NDArray[np.bool_], scores: NDArray[np.float32]) -> NDArray[
 
 
 def _mean(scores: NDArray[np.float32], partners: NDArray[np.float64]) -> NDArray[np.float64]:
-    logits = [
-        np.log(s / (1.0 - s)) for s in (np.clip(p, 0.01, _SUREST) for p in (scores, partners))
-    ]
-    return np.asarray(1.0 / (1.0 + np.exp(-0.5 * (logits[0] + logits[1]) - _LENIENCE)))
+    mean = 0.5 * (_logit(scores) + _logit(partners)) + _LENIENCE
+    return np.asarray(1.0 / (1.0 + np.exp(-mean)))
+
+
+def _logit(scores: NDArray[np.floating]) -> NDArray[np.float64]:
+    inside = np.clip(np.asarray(scores, dtype=np.float64), 1.0 - _SUREST, _SUREST)
+    return np.asarray(np.log(inside / (1.0 - inside)))

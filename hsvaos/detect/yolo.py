@@ -211,7 +211,7 @@ class Detector:
         if self._for_grey is None:
             return self._found(views, distances, self.score)
         kinds = [_kind(view) for view in views]
-        finds = {}
+        finds: dict[int, Detections] = {}
         for kind in set(kinds):
             own = [k for k in range(count) if kinds[k] == kind]
             found = self._found_in(kind, [views[k] for k in own], [distances[k] for k in own])
