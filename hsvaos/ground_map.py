@@ -81,7 +81,8 @@ def _resampled(sums: NDArray[np.float32], x: NDArray[np.float32], y: NDArray[np.
         cv2.remap(sums, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT), dtype=np.float32
     )
     rays = np.ascontiguousarray(drawn[..., -1])
-    mean: NDArray[np.float32] = drawn[..., :-1] / np.maximum(rays, np.float32(1e-12))[..., None]
+    share = np.maximum(rays, np.float32(1e-12))[..., None]
+    mean = np.divide(drawn[..., :-1], share, dtype=np.float32)
     mean[rays <= 0.0] = 0.0
     return mean, rays
 
