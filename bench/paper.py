@@ -288,22 +288,30 @@ def _file(results: Path, flight: str, track: str, method: str) -> Path:
 
 def pose_errors(flights: Path, results: Path) -> None:
     """Write root-mean-square errors of all flights: horizontal, down [m]; attitude [deg]."""
-    tracks: dict[str, list[np.ndarray]] = {}
-    for folder in sorted(p for p in flights.iterdir() if (p / "poses_ekf.csv").exists()):
-        flight = hsvaos.open_flight(folder)
-        times = np.array([frame.t_s for frame in flight.frames])
-        paper = hsvaos.estimate_trajectory(flight, filter="paper").world_from_camera(times)
-        for name, poses in (
-            ("error-state filter and smoother (poses_ekf.csv)", posed(flight, folder, "ekf").poses),
-            ("the paper's filter", paper),
-        ):
-            tracks.setdefault(name, []).append(_errors(poses, flight.poses))
-    figures = {}
-    for name, parts in tracks.items():
+    folders = sorted(p for p in flights.iterdir() if (p / "poses_ekf.csv").exists())
+    figures: dict[str, list[float]] = {}
+    for name, estimate in (
+        ("error-state filter and smoother (poses_ekf.csv)", _smoothed),
+        ("the paper's filter", _by_papers_filter),
+    ):
+        parts = []
+        for number, folder in enumerate(folders, 1):
+            flight = hsvaos.open_flight(folder)
+            parts.append(_errors(estimate(flight, folder), flight.poses))
+            print(f"{name}: {number} of {len(folders)}", flush=True)
         square = np.mean(np.concatenate(parts) ** 2, axis=0)
         figures[name] = [float(v) for v in np.sqrt([square[0] + square[1], *square[2:]])]
-    (results / "poses.txt").write_text(json.dumps(figures, indent=1))
+        (results / "poses.txt").write_text(json.dumps(figures, indent=1))
     print(json.dumps(figures, indent=1))
+
+
+def _smoothed(flight: Flight, folder: Path) -> np.ndarray:
+    return posed(flight, folder, "ekf").poses
+
+
+def _by_papers_filter(flight: Flight, folder: Path) -> np.ndarray:
+    times = np.array([frame.t_s for frame in flight.frames])
+    return hsvaos.estimate_trajectory(flight, filter="paper").world_from_camera(times)
 
 
 def _errors(have: np.ndarray, true: np.ndarray) -> np.ndarray:

@@ -208,14 +208,14 @@ class ErrorStateRun:
         HC = H @ self.C
         S = HC @ H.T
         S.flat[:: len(residual) + 1] += variance
-        inverse = np.linalg.inv(S) if len(residual) > 1 else 1.0 / S
-        nis = float(residual @ inverse @ residual)
+        inverse = _inverse(S)
+        nis = math.inf if inverse is None else float(residual @ inverse @ residual)
         accepted = nis <= self.ekf.limit(len(residual))
         gate = self.gates.setdefault(sensor, _Gate())
         self.innovations.add(sensor, t, residual, np.sqrt(S.diagonal()), nis, accepted)
         if not accepted:
             gate.refused_since = min(gate.refused_since, t)
-            if t - gate.refused_since < self.ekf.recovery_s:
+            if inverse is None or t - gate.refused_since < self.ekf.recovery_s:
                 return
             # The state is wrong, not the sensor. Widening position, velocity and attitude alike
             # keeps how their errors hang together: a wrong velocity may come from a wrong heading.
@@ -227,7 +227,9 @@ class ErrorStateRun:
             HC = H @ self.C
             S = HC @ H.T
             S.flat[:: len(residual) + 1] += variance
-            inverse = np.linalg.inv(S)
+            inverse = _inverse(S)
+        if inverse is None:
+            return
         gate.refused_since = math.inf
         K = HC.T @ inverse
         A = self.C - K @ HC
@@ -270,3 +272,17 @@ def gnss_noise(log: SensorLog, model: GnssModel | None) -> tuple[Array, Array]:
             std = np.tile(level, (len(gnss.t_s), 1))
         out.append(std)
     return out[0], out[1]
+
+
+def _inverse(S: Array) -> Array | None:
+    """Inverse of an innovation's covariance; None where rounding left it singular.
+
+    That is where an estimate is lost: the measurement counts as refused, and whoever asked for the
+    estimate is told by how many were.
+    """
+    if len(S) == 1:
+        return np.asarray(1.0 / S)  # what most updates need, faster
+    try:
+        return np.asarray(np.linalg.inv(S))
+    except np.linalg.LinAlgError:
+        return None
