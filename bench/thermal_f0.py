@@ -100,10 +100,10 @@ def main() -> int:
         "# Real thermal photos\n",
         "Made by `python bench/thermal_f0.py F0`: JKU's thermal flight F0, 382 photos of 512 x 512 "
         f"over a forest with three people, in {len(list(parts(len(flight))))} integral images: all "
-        "photos, stretches of "
-        "60, and every sixth one. Nothing was trained on it, but it was looked at while the "
-        "network for grey images was made. Boxes were drawn by eye; people hardly to be seen "
-        "in some stretches count too. Precision and recall at the default threshold, IoU .25.\n",
+        "photos, stretches of 60, and every sixth one. Nothing was trained on it, but it was "
+        "looked at while the network for grey images was made. Boxes were drawn by eye; people "
+        "hardly to be seen in some stretches count too. Precision and recall at the default "
+        "threshold, IoU .25.\n",
         markdown_table(head, rows),
     ]
     PAGE.write_text("\n".join(text).rstrip() + "\n", encoding="utf-8")

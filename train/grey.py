@@ -23,7 +23,7 @@ from hsvaos.evaluate.detection import Matches, match_boxes
 from train.export import export
 from train.fit import BATCH, collate, fit
 from train.grey_scene import LENGTH_PX, PERSON_M, GreyScene, grey_scene
-from train.judge import finds
+from train.judge import IOUS, figures_of, finds, least_score
 from train.net import Exported, PersonNet
 from train.samples import CROP_PX, Sample
 
@@ -107,21 +107,7 @@ def matched(net: PersonNet, ious: tuple[float, ...]) -> dict[float, Matches]:
 
 def judged(net: PersonNet) -> dict[str, float]:
     """Return the figures of a network on the tuning scenes."""
-    figures = {}
-    for iou, matches in matched(net, (0.10, 0.25, 0.50)).items():
-        curve = matches.curve()
-        figures[f"ap{round(100 * iou)}"] = round(float(curve.ap_coco101 or 0.0), 4)
-        if iou == 0.25:
-            good = curve.precision >= 0.95
-            figures["recall95"] = round(float(curve.recall[good].max(initial=0.0)), 4)
-    return figures
-
-
-def threshold(net: PersonNet) -> float:
-    """Return the least score from which finds on the tuning scenes have the wanted precision."""
-    curve = matched(net, (0.25,))[0.25].curve()
-    good = np.flatnonzero(curve.precision >= PRECISION)
-    return float(curve.scores[good[-1]]) if good.size else 0.5
+    return figures_of(matched(net, IOUS))
 
 
 def shifted(net: PersonNet, own: float, common: float) -> PersonNet:
@@ -156,7 +142,7 @@ def main() -> int:
         tune_every=1000,
         new_net=new_net,
     )
-    figures, own = judged(net), threshold(net)
+    figures, own = judged(net), least_score(matched(net, (0.25,))[0.25], PRECISION)
     common = Detector().score
     story = {
         "recipe": "python -m train.grey",

@@ -19,6 +19,8 @@ from train.samples import LEAST_RAYS_SEEN, at_sampling
 REACHED = 1.5
 """Unoccluded rays a point from which a person is to be found; others are ignored."""
 
+IOUS = (0.10, 0.25, 0.50)
+
 _FLOOR = 0.02
 _NMS = 0.25
 
@@ -49,18 +51,23 @@ def judge(paths: list[Path]) -> Callable[[PersonNet], dict[str, float]]:
     Args:
         paths: Of maps.
     """
+    return lambda net: figures_of(matched(net, paths, IOUS))
 
-    def measured(net: PersonNet) -> dict[str, float]:
-        figures = {}
-        for iou, matches in matched(net, paths, (0.10, 0.25, 0.50)).items():
-            curve = matches.curve()
-            figures[f"ap{round(100 * iou)}"] = round(float(curve.ap_coco101 or 0.0), 4)
-            if iou == 0.25:
-                good = curve.precision >= 0.95
-                figures["recall95"] = round(float(curve.recall[good].max(initial=0.0)), 4)
-        return figures
 
-    return measured
+def figures_of(matches: dict[float, Matches]) -> dict[str, float]:
+    """Return average precisions, and the recall at a precision of .95, as the curve lists them.
+
+    Args:
+        matches: By IoU threshold.
+    """
+    figures = {}
+    for iou, own in matches.items():
+        curve = own.curve()
+        figures[f"ap{round(100 * iou)}"] = round(float(curve.ap_coco101 or 0.0), 4)
+        if iou == 0.25:
+            good = curve.precision >= 0.95
+            figures["recall95"] = round(float(curve.recall[good].max(initial=0.0)), 4)
+    return figures
 
 
 def threshold(net: PersonNet, paths: list[Path], precision: float = 0.97) -> float:
@@ -71,9 +78,19 @@ def threshold(net: PersonNet, paths: list[Path], precision: float = 0.97) -> flo
         paths: Of maps.
         precision: To be reached; above the .95 that is promised, as other flights differ.
     """
-    curve = matched(net, paths, (0.25,))[0.25].curve()
+    return round(least_score(matched(net, paths, (0.25,))[0.25], precision), 3)
+
+
+def least_score(matches: Matches, precision: float) -> float:
+    """Return the least score from which finds have a precision; .5 where none has.
+
+    Args:
+        matches: Of the finds.
+        precision: To be reached.
+    """
+    curve = matches.curve()
     good = np.flatnonzero(curve.precision >= precision)
-    return round(float(curve.scores[good[-1]]), 3) if good.size else 0.5
+    return float(curve.scores[good[-1]]) if good.size else 0.5
 
 
 def matched(net: PersonNet, paths: list[Path], ious: tuple[float, ...]) -> dict[float, Matches]:

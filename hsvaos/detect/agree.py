@@ -16,9 +16,8 @@ _SILENT = 0.35
 """What a network counts as having said of a box that it does not give: no more than doubt."""
 
 _LENIENCE = 0.2
-"""Added to the mean, in logits: two that half agree are surer than each alone. With it the common
-threshold lies where on a simulated thermal flight, used for nothing else, the first false box is
-still far."""
+"""Added to the mean, in logits: two that half agree are surer than each alone. This and the two
+above were chosen on one simulated thermal flight (train/README.md)."""
 
 _SUREST = 0.99
 

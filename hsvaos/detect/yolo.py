@@ -151,8 +151,9 @@ class Detector:
             rarity: Shape (H, W), mean rarity weight over the rays, for our own networks.
             plain: Like the image, the integral image without a mask, for our own networks.
             coherence: What `Integrator.coherence` returns, for our own networks.
-            gsd_m: Ground sampling distance [m/px]. Our own networks were trained for 0.045 to
-                0.09: beyond that the view is resampled. By default it is taken as it is.
+            gsd_m: Ground sampling distance [m/px]. Our own networks take 0.045 to 0.09, of grey
+                images 0.07 to 0.146: beyond that the view is resampled. By default it is taken as
+                it is.
 
         Returns:
             People, strongest first; scores are probabilities, all class ids 0.
