@@ -14,6 +14,7 @@ from hsvaos.detect.agree import agreed
 from hsvaos.detect.classes import class_names, person_classes
 from hsvaos.detect.detections import Detections
 from hsvaos.detect.feed import OwnFeed, PhotoFeed, Tile
+from hsvaos.detect.few_rays import doubted
 from hsvaos.detect.layouts import class_count, layout_of
 from hsvaos.detect.network import Network
 from hsvaos.detect.suppress import clipped, suppress, usable
@@ -147,7 +148,8 @@ class Detector:
             image: Shape (H, W, 3) RGB or (H, W) grey; uint8, uint16 or floats in units of the
                 photos. NaN counts as not seen.
             footprint: Shape (H, W), rays of each pixel, 0 where there are none. By default every
-                pixel is seen, by nobody knows how many.
+                pixel is seen, by nobody knows how many. With `rarity`, finds on ground of fewer
+                than 5 rays are doubted, see `few_rays`.
             rarity: Shape (H, W), mean rarity weight over the rays, for our own networks.
             plain: Like the image, the integral image without a mask, for our own networks.
             coherence: What `Integrator.coherence` returns, for our own networks.
@@ -250,7 +252,8 @@ class Detector:
                 places, kept = tile.back(found[good])
                 boxes[tile.view].append(places[kept])
                 scores[tile.view].append(strength[good][kept])
-        return [self._merged(*one) for one in zip(views, boxes, scores, strict=True)]
+        merged = (self._merged(*one) for one in zip(views, boxes, scores, strict=True))
+        return [found.above(least) for found in merged]
 
     def _batches(self, tiles: Iterable[Tile]) -> Iterator[list[Tile]]:
         """Put tiles of one size together, as many as the network and memory allow."""
@@ -299,6 +302,8 @@ class Detector:
         if view.seen is not None:
             kept = _touches(places, view.seen)
             places, strengths = places[kept], strengths[kept]
+        if view.rarity is not None and view.footprint is not None:  # then that counts rays
+            strengths = doubted(places, strengths, view.footprint)
         iou = self._iou if self._layout.needs_nms or len(boxes) > 1 else None
         # from pixel k covering k to k + 1, as elsewhere, to pixel centres at integers
         return suppress(places - 0.5, strengths, iou, self._most)

@@ -67,6 +67,25 @@ def test_own_layout_gets_all_channels() -> None:
     assert len(detector.detect(image)) == 0  # nobody knows how many
 
 
+def test_finds_on_ground_of_few_rays_are_doubted() -> None:
+    image, rays = with_person(1, 32, 48), np.full((160, 200), 30.0, np.float32)
+    weak = [0.1 * weight for weight in RED_CONTRAST]
+    detector = Detector(own_net(weak, -1.0), score=0.3)
+    known = {"footprint": rays, "rarity": np.zeros_like(rays)}
+    sure = detector.detect(image, **known)
+    assert float(sure.scores[0]) < 0.95
+    rays[:, :100] = 3.0
+    less = detector.detect(image, **known)
+    assert len(sure) == len(less) == 1
+    odds = [float(found.scores[0] / (1.0 - found.scores[0])) for found in (sure, less)]
+    assert odds[1] == pytest.approx(0.6 * odds[0], rel=1e-3)
+    strict = Detector(own_net(weak, -1.0), score=0.9 * float(sure.scores[0]))
+    assert len(strict.detect(image, **known)) == 0
+    # weights of a masked image are no count of rays
+    alone = detector.detect(image, footprint=rays / 50.0)
+    assert float(alone.scores[0]) == pytest.approx(float(sure.scores[0]), abs=1e-4)
+
+
 def test_what_is_not_seen_is_nothing_and_is_not_found() -> None:
     detector = Detector(own_net(RED_CONTRAST, -5.0))
     image = with_person(2, 64, 112)
