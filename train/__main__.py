@@ -46,7 +46,6 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m train", description=__doc__)
     parser.add_argument("work", type=Path, help="folder for everything; some 12 GB")
     parser.add_argument("--flights", type=int, default=43)
-    parser.add_argument("--first", type=int, default=FIRST_TRAINING_SEED, help="seed")
     parser.add_argument("--tuning", type=int, default=4)
     parser.add_argument("--steps", type=int, default=2400)
     parser.add_argument("--workers", type=int, default=2)
@@ -57,7 +56,7 @@ def main() -> int:
     work = asked.work
     print("flights and maps for training", flush=True)
     maps, tuning = work / "maps", work / "tuning_maps"
-    _flights(asked.first, asked.flights, work / "flights", maps, asked.workers)
+    _flights(FIRST_TRAINING_SEED, asked.flights, work / "flights", maps, asked.workers)
     print("flights and maps for tuning", flush=True)
     _flights(FIRST_TUNING_SEED, asked.tuning, work / "tuning_flights", tuning, asked.workers)
     return train(work, maps, tuning, asked)

@@ -27,7 +27,7 @@ from hsvaos.simulate.simulation import Simulation
 FIRST_TRAINING_SEED = 101_000
 FIRST_TUNING_SEED = 900_100
 
-_PEOPLE = 36
+_PEOPLE = 26
 _SEARCHED_FOR = 20
 _APART_M = 2.7
 _BUSH_SHARE = 0.2
@@ -41,7 +41,7 @@ def flight_settings(seed: int) -> SimulationSettings:
         seed: Of the flight.
     """
     rng = np.random.default_rng([seed, 301])
-    season = str(rng.choice(["summer", "fall", "snow"], p=[0.35, 0.35, 0.30]))
+    season = str(rng.choice(["summer", "fall", "snow"], p=[0.37, 0.37, 0.26]))
     density = rng.uniform(280.0, 620.0)
     leaves = np.exp(rng.uniform(np.log(0.15), np.log(1.2)))
     relief, glades = rng.uniform(0.1, 0.35), rng.uniform(0.0, 0.6)

@@ -41,7 +41,7 @@ SEARCH_CONDITIONS = 2
 """Maps of each tuning flight: with the poses of a search, true or as a filter leaves them."""
 
 _BORDER_M = 5.0
-LEFT_OUT = 0.75
+_LEFT_OUT = 0.75
 """Share of the people whose colours are not counted as colours of the flight."""
 
 
@@ -135,7 +135,7 @@ def make_maps(folder: Path, target: Path, *, search: bool = False) -> None:
     rng = np.random.default_rng([seed, 302])
     photos = load_photos(flight, 1.0, "cpu", None)
     people = [np.array(person["outline_ned_m"]) for person in truth["people"]]
-    left_out = [] if search else [p for p in people if rng.uniform() < LEFT_OUT]
+    left_out = [] if search else [p for p in people if rng.uniform() < _LEFT_OUT]
     ours, papers = _integrators(photos, left_out)
     reach = np.abs(flight.poses[:, :2, 3]).max(axis=0) + _BORDER_M
     gsd = float(np.median(-flight.poses[:, 2, 3])) / flight.camera.fx

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hsvaos.detect.network_input import AIM_GSD_M, CHANNELS, TRAINED_GSD_M, network_input
 from train.drawn import draw_figures, smooth_ground
-from train.maps import COHERENCE, COHERENT, HUE_FOOTPRINT, LEFT_OUT, PLANES, RARITY_MAP, RAYS
+from train.maps import COHERENCE, COHERENT, HUE_FOOTPRINT, PLANES, RARITY_MAP, RAYS
 
 CROP_PX = 256
 LEAST_RAYS = 1.5
@@ -22,8 +22,6 @@ LEAST_RAYS_SEEN = 3.0
 
 _DRAWN = 16
 """People drawn into a map, where any are."""
-
-_EVERYTHING_COUNTS = 0.15
 
 _KINDS = ("rarity", "hue", "plain")
 
@@ -157,7 +155,6 @@ def _look(
         layers[RARITY_MAP] if known[1] else None,
         _image(layers, "plain") if known[2] else None,
         (np.moveaxis(layers[COHERENT], 0, 2), layers[COHERENCE]) if known[3] else None,
-        uncounted=_uncounted(layers.shape[1:], boxes, rng),
     )
     return _jittered(whole, rng), np.zeros((0, 4)), False
 
@@ -203,25 +200,7 @@ def _alone(
     if rng.uniform() < 0.3:
         image = 255.0 * np.power(np.clip(image / 255.0, 0.0, 1.0), rng.uniform(0.6, 1.6))
     image[layers[RAYS] <= 0.0] = np.nan if rng.uniform() < 0.5 else 0.0
-    people = np.concatenate([boxes, drawn])
-    whole = network_input(image, uncounted=_uncounted(image.shape[:2], people, rng))
-    return _jittered(whole, rng), drawn, smooth
-
-
-def _uncounted(
-    size: tuple[int, ...], boxes: NDArray[np.float64], rng: np.random.Generator
-) -> NDArray[np.bool_]:
-    """Return where most people lie: counted whole, a crowd's clothes surprise nobody.
-
-    In some looks everything counts, as in a picture that shows little but a person.
-    """
-    where = np.zeros(size, dtype=np.bool_)
-    if rng.uniform() < _EVERYTHING_COUNTS:
-        return where
-    for left, top, right, bottom in boxes[rng.uniform(size=len(boxes)) < LEFT_OUT]:
-        x, y = max(int(left) - 2, 0), max(int(top) - 2, 0)
-        where[y : max(int(bottom) + 3, 0), x : max(int(right) + 3, 0)] = True
-    return where
+    return _jittered(network_input(image), rng), drawn, smooth
 
 
 def _jittered(whole: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:

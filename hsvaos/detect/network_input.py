@@ -42,8 +42,6 @@ def network_input(
     rarity: ArrayLike | None = None,
     plain: ArrayLike | None = None,
     coherence: tuple[ArrayLike, ArrayLike] | None = None,
-    *,
-    uncounted: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float32]:
     """Return the input of the person network for one integral image.
 
@@ -61,8 +59,6 @@ def network_input(
         plain: Shape (H, W, 3) or (H, W), the plain mean of all rays. By default the image.
         coherence: Mean colour of the rays that agree, shape (H, W, 3) or (H, W), and how much they
             do, shape (H, W), see `Integrator.coherence`. None if unknown.
-        uncounted: Shape (H, W), pixels that are left out when colours and contrasts are counted for
-            their surprise: in training, where people lie closer together than in a search.
 
     Returns:
         Shape (14, H, W), float32, see `CHANNELS`.
@@ -77,19 +73,16 @@ def network_input(
         seen &= rays > 0.0
     whole = np.zeros((len(CHANNELS), *size), dtype=np.float32)
     whole[0:3] = _clipped(local_contrast(picture, seen))
-    contrasts = surprise_of_contrasts(
-        _deviations(whole[0 : picture.shape[2]]), seen, uncounted=uncounted
-    )
+    contrasts = surprise_of_contrasts(_deviations(whole[0 : picture.shape[2]]), seen)
     colours = contrasts  # grey has none, and its levels follow the exposure
     if picture.shape[2] == 3:
-        colours = surprise_of_colours(picture, seen, uncounted=uncounted)
+        colours = surprise_of_colours(picture, seen)
     whole[3:6], whole[9] = whole[0:3], contrasts
     if plain is not None:
         second, known = _sized(plain, size, "plain")
         known = known if rays is None else known & (rays > 0.0)
         whole[3:6] = _clipped(local_contrast(second, known))
-        parts = _deviations(whole[3 : 3 + second.shape[2]])
-        whole[9] = surprise_of_contrasts(parts, known, uncounted=uncounted)
+        whole[9] = surprise_of_contrasts(_deviations(whole[3 : 3 + second.shape[2]]), known)
     whole[9] *= np.float32(_SURPRISE_UNIT)
     rare = _fitting(rarity, size, "rarity")
     known, weight = seen, np.ones(size, dtype=np.float32)
@@ -103,12 +96,12 @@ def network_input(
         whole[7] = np.log1p(np.maximum(np.nan_to_num(rays, nan=0.0), 0.0)) / 4.0
     if coherence is not None:
         everywhere = np.ones(size, dtype=np.bool_) if rays is None else rays > 0.0
-        whole[8], whole[12], whole[13] = _coherence(coherence, everywhere, uncounted)
+        whole[8], whole[12], whole[13] = _coherence(coherence, everywhere)
     return whole
 
 
 def _coherence(
-    pair: tuple[Any, Any], seen: NDArray[np.bool_], uncounted: NDArray[np.bool_] | None
+    pair: tuple[Any, Any], seen: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     """Return the channels of coherence, itself and weighed by its colours' surprise."""
     picture, known = _sized(pair[0], seen.shape, "coherence[0]")
@@ -117,10 +110,10 @@ def _coherence(
     known = known & (agreement > 0.0)
     weight = agreement * agreement
     parts = _clipped(local_contrast(picture, known))
-    contrasts = surprise_of_contrasts(_deviations(parts), known, uncounted=uncounted)
+    contrasts = surprise_of_contrasts(_deviations(parts), known)
     colours = contrasts
     if picture.shape[2] == 3:
-        colours = surprise_of_colours(picture, known, among_alike=True, uncounted=uncounted)
+        colours = surprise_of_colours(picture, known, among_alike=True)
     itself: NDArray[np.float32] = _compressed(local_contrast(weight[..., None], seen))[0]
     return itself, _weighed(weight, colours, seen), _weighed(weight, contrasts, seen)
 

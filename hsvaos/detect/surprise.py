@@ -38,11 +38,7 @@ _HALF_WAY = 2.0
 
 
 def surprise_of_colours(
-    picture: NDArray[np.float32],
-    seen: NDArray[np.bool_],
-    *,
-    among_alike: bool = False,
-    uncounted: NDArray[np.bool_] | None = None,
+    picture: NDArray[np.float32], seen: NDArray[np.bool_], *, among_alike: bool = False
 ) -> NDArray[np.float32]:
     """Return how much rarer each pixel's colour is than a typical one, in powers of ten.
 
@@ -52,7 +48,6 @@ def surprise_of_colours(
         picture: Shape (H, W, 3), RGB in any unit.
         seen: Shape (H, W), the pixels that count; others get 0.
         among_alike: Whether among pixels of the same lightness only.
-        uncounted: Shape (H, W), pixels that get a value, though their colours are not counted.
 
     Returns:
         Shape (H, W), 0 to 4.
@@ -64,16 +59,13 @@ def surprise_of_colours(
     middle = float(np.median(brightest[seen])) or float(brightest[seen].max()) or 1.0
     unit = np.clip(picture * np.float32(_MEDIAN / middle), np.float32(0.0), np.float32(1.0))
     bins = colour_bins(cv2.cvtColor(unit, cv2.COLOR_RGB2Lab))
-    planes = _counted(bins, _without(seen, uncounted), (LIGHTNESS_BINS, CHROMA_BINS, CHROMA_BINS))
+    planes = _counted(bins, seen, (LIGHTNESS_BINS, CHROMA_BINS, CHROMA_BINS))
     rare = np.stack([_rarer(plane) for plane in planes]) if among_alike else _rarer(planes)
     return np.asarray(rare.reshape(-1)[bins] * seen, dtype=np.float32)
 
 
 def surprise_of_contrasts(
-    contrast: NDArray[np.float32],
-    seen: NDArray[np.bool_],
-    *,
-    uncounted: NDArray[np.bool_] | None = None,
+    contrast: NDArray[np.float32], seen: NDArray[np.bool_]
 ) -> NDArray[np.float32]:
     """Return how much rarer each pixel's contrast is than a typical one, in powers of ten.
 
@@ -81,7 +73,6 @@ def surprise_of_contrasts(
         contrast: Shape (3, H, W), or (1, H, W) of grey, deviations from the surround in units of
             its standard deviation.
         seen: Shape (H, W), the pixels that count; others get 0.
-        uncounted: Shape (H, W), pixels that get a value, though their contrasts are not counted.
 
     Returns:
         Shape (H, W), 0 to 4.
@@ -99,12 +90,8 @@ def surprise_of_contrasts(
     for part, size in zip(parts, sizes[-len(parts) :], strict=True):
         share = part / (np.float32(_HALF_WAY) + np.abs(part))
         bins = bins * size + ((share + np.float32(1.0)) * np.float32(0.5 * size)).astype(np.int32)
-    rare = _rarer(_counted(bins, _without(seen, uncounted), sizes))
+    rare = _rarer(_counted(bins, seen, sizes))
     return np.asarray(rare.reshape(-1)[bins] * seen, dtype=np.float32)
-
-
-def _without(seen: NDArray[np.bool_], uncounted: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
-    return seen if uncounted is None else seen & ~uncounted
 
 
 def _counted(

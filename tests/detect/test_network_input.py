@@ -89,20 +89,6 @@ def test_the_image_stands_in_for_the_plain_mean():
     assert np.array_equal(grey[0], grey[1])
 
 
-def test_people_who_are_not_counted_surprise_more():
-    image = scene(6)
-    where = np.zeros(image.shape[:2], dtype=bool)
-    where[::20] = True
-    image[where] = 0.2 * image[where] + np.array([40.0, 90.0, 200.0])
-    agreed = (image, np.full(where.shape, 0.3))
-    rest = [np.full(where.shape, 20.0), np.full(where.shape, 0.1), image, agreed]
-    counted, left_out = (network_input(image, *rest, uncounted=u) for u in (None, where))
-    for name in ("plain surprise", "rare colour", "rare contrast", "coherent colour"):
-        k = CHANNELS.index(name)
-        assert left_out[k][where].mean() > counted[k][where].mean(), name
-    assert np.array_equal(left_out[:9], counted[:9])
-
-
 @pytest.mark.parametrize(
     ("image", "more", "words"),
     [

@@ -63,32 +63,6 @@ def test_flat_pictures_and_empty_ones(value):
     assert (surprise_of_contrasts(flat.transpose(2, 0, 1), nobody) == 0.0).all()
 
 
-@pytest.mark.parametrize("among_alike", [False, True])
-def test_a_crowd_that_is_not_counted_surprises_like_one(among_alike):
-    crowd = ground()
-    where = np.zeros(EVERYWHERE.shape, dtype=bool)
-    for row in range(5, 85, 20):
-        for column in range(5, 105, 20):
-            where[row : row + 6, column : column + 6] = True
-    crowd[where] = (30.0, 60.0, 160.0)
-    contrast = ((crowd - crowd.mean(axis=(0, 1))) / 10.0).transpose(2, 0, 1)
-    rest = where.copy()
-    rest[5:11, 5:11] = False  # one of them counts
-
-    def of_colours(uncounted):
-        found = surprise_of_colours(crowd, EVERYWHERE, among_alike=among_alike, uncounted=uncounted)
-        return found[where].mean()
-
-    def of_contrasts(uncounted):
-        return surprise_of_contrasts(contrast, EVERYWHERE, uncounted=uncounted)[where].mean()
-
-    for surprise in (of_colours, of_contrasts):
-        assert surprise(rest) > surprise(None) + 0.9  # there are twenty of them
-        assert surprise(where) >= surprise(rest)
-        assert surprise(np.zeros_like(where)) == surprise(None)
-    assert np.isfinite(surprise_of_colours(crowd, EVERYWHERE, uncounted=EVERYWHERE)).all()
-
-
 def test_bins_are_those_of_the_rarity_kernel():
     rng = np.random.default_rng(3)
     image = rng.random((60, 70, 3)).astype(np.float32)
