@@ -14,10 +14,8 @@ from numpy.typing import NDArray
 Array = NDArray[Any]
 
 ENOUGH_RAYS = 5.0
-"""Rays from which ground is seen as the networks were taught; half of the most of a view are
-enough too."""
-
-_SUREST = 0.999
+"""Rays from which a find is taken as it is; half of the most of a view are enough too. On two
+tuning flights the false boxes at the edges lay on 1 to 4 rays, no right one on fewer than 10."""
 
 
 def doubted(boxes: Array, scores: Array, rays: Array) -> Array:
@@ -42,6 +40,5 @@ def doubted(boxes: Array, scores: Array, rays: Array) -> Array:
     middle = np.floor(0.5 * (boxes[:, :2] + boxes[:, 2:])).astype(np.int64)
     x, y = np.clip(middle, 0, np.array(known.shape)[::-1] - 1).T
     share = np.clip(known[y, x] / enough, 0.0, 1.0)
-    odds = np.minimum(scores, _SUREST) / (1.0 - np.minimum(scores, _SUREST))
-    lowered = share * odds / (1.0 + share * odds)
-    return np.where(share < 1.0, lowered, scores).astype(np.float32)
+    rest = 1.0 - (1.0 - share) * scores  # 0 only where the surest find has no ray
+    return np.asarray(share * scores / np.maximum(rest, 1e-9), dtype=np.float32)
