@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import onnx
 import torch
+from torch import nn
 
 from hsvaos.detect.network_input import AIM_GSD_M, CHANNELS, TRAINED_GSD_M
 from train.net import MULTIPLE, Exported, PersonNet
@@ -38,27 +39,6 @@ def export(
         aim_gsd_m: The one to which others are resampled [m/px].
     """
     whole = Exported(net).eval()
-    example = torch.zeros(1, len(channels), 4 * MULTIPLE, 6 * MULTIPLE)
-    part = path.with_name(path.name + ".part")
-    with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore"
-        )  # torch would rather export in its new way, which needs more
-        torch.onnx.export(
-            whole,
-            (example,),
-            str(part),
-            input_names=["input"],
-            output_names=["boxes", "scores"],
-            dynamic_axes={
-                "input": {0: "batch", 2: "height", 3: "width"},
-                "boxes": {0: "batch", 1: "cells"},
-                "scores": {0: "batch", 1: "cells"},
-            },
-            opset_version=_OPSET,
-            dynamo=False,
-        )
-    model = onnx.load(str(part))
     low, high = gsd_m
     facts = {
         "layout": "hsvaos",
@@ -71,26 +51,67 @@ def export(
         "license": "Apache-2.0",
         "training": json.dumps(story),
     }
+    cells = {0: "batch", 1: "cells"}
+    size = 4 * MULTIPLE, 6 * MULTIPLE
+    as_onnx(whole, (len(channels), *size), path, {"boxes": cells, "scores": cells}, facts)
+
+
+def as_onnx(
+    module: nn.Module,
+    example: tuple[int, int, int],
+    path: Path,
+    outputs: dict[str, dict[int, str]],
+    facts: dict[str, str],
+) -> None:
+    """Write a network of one picture as ONNX, dynamic in batch and size; it must equal torch.
+
+    Args:
+        module: In use, not in training.
+        example: Channels, height and width of an input.
+        path: The file.
+        outputs: Free axes of each output, by name.
+        facts: Its metadata.
+
+    Raises:
+        RuntimeError: If onnxruntime gives other results than torch.
+    """
+    part = path.with_name(path.name + ".part")
+    with warnings.catch_warnings():
+        warnings.simplefilter(
+            "ignore"
+        )  # torch would rather export in its new way, which needs more
+        torch.onnx.export(
+            module,
+            (torch.zeros(1, *example),),
+            str(part),
+            input_names=["input"],
+            output_names=list(outputs),
+            dynamic_axes={"input": {0: "batch", 2: "height", 3: "width"}, **outputs},
+            opset_version=_OPSET,
+            dynamo=False,
+        )
+    model = onnx.load(str(part))
     for key, value in facts.items():
         entry = model.metadata_props.add()
         entry.key, entry.value = key, value
     onnx.checker.check_model(model)
     onnx.save(model, str(part))
-    _compare(whole, part)
+    _compare(module, example[0], list(outputs), part)
     part.replace(path)
 
 
-def _compare(net: Exported, path: Path) -> None:
+def _compare(module: nn.Module, channels: int, outputs: list[str], path: Path) -> None:
     """Raise unless onnxruntime gives what torch gives, at another size than the example's."""
     import onnxruntime
 
     rng = np.random.default_rng(0)
     size = 10 * MULTIPLE, 7 * MULTIPLE
-    x = rng.standard_normal((2, net.net.channels, *size), dtype=np.float32)
+    x = rng.standard_normal((2, channels, *size), dtype=np.float32)
     session = onnxruntime.InferenceSession(path.read_bytes(), providers=["CPUExecutionProvider"])
-    have = session.run(["boxes", "scores"], {"input": x})
+    have = session.run(outputs, {"input": x})
     with torch.no_grad():
-        want = [part.numpy() for part in net(torch.from_numpy(x))]
+        found = module(torch.from_numpy(x))
+    want = [part.numpy() for part in (found if isinstance(found, tuple) else (found,))]
     for ours, theirs in zip(have, want, strict=True):
         if not np.allclose(ours, theirs, rtol=1e-3, atol=1e-3):
             raise RuntimeError(

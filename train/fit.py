@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional as F
 from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
@@ -117,7 +117,7 @@ def loss_of(net: PersonNet, batch: tuple[Tensor, Tensor, Tensor, Tensor]) -> dic
         batch: From `collate`.
     """
     whole, wanted, boxes, _ = batch
-    with torch.autocast("cpu", dtype=torch.bfloat16, enabled=_short_floats()):
+    with torch.autocast("cpu", dtype=torch.bfloat16, enabled=short_floats()):
         logits, values = net(whole.to(memory_format=torch.channels_last))
     logits, values = logits.float().flatten(1), values.float()
     centres = cell_centres(*values.shape[2:])
@@ -138,7 +138,7 @@ def loss_of(net: PersonNet, batch: tuple[Tensor, Tensor, Tensor, Tensor]) -> dic
 
 
 @cache
-def _short_floats() -> bool:
+def short_floats() -> bool:
     """Whether the CPU computes in bfloat16: then 2.6 times as fast, and no worse; else slower."""
     supported = ("_is_avx512_bf16_supported", "_is_amx_tile_supported")
     return any(bool(getattr(torch.cpu, name, bool)()) for name in supported)
@@ -206,7 +206,7 @@ def fit(
     began = time.monotonic()
     for step, batch in zip(range(start, steps), loader, strict=False):
         for group in optimizer.param_groups:
-            group["lr"] = rate * _schedule(step, steps)
+            group["lr"] = rate * schedule(step, steps)
         net.train()
         parts = loss_of(net, batch)
         loss = parts["score"] + parts["box"]
@@ -214,7 +214,7 @@ def fit(
         loss.backward()
         torch.nn.utils.clip_grad_norm_(net.parameters(), 10.0)
         optimizer.step()
-        _average(mean, net, min(0.998, (step + 1) / (step + 10)))
+        average(mean, net, min(0.998, (step + 1) / (step + 10)))
         for name, value in parts.items():
             sums[name] = sums.get(name, 0.0) + float(value.detach())
         if (step + 1) % 100 == 0 or step + 1 == steps:
@@ -223,7 +223,7 @@ def fit(
             sums = {}
             if tune is not None and ((step + 1) % tune_every == 0 or step + 1 == steps):
                 row |= tune(mean.eval())
-            _note(out / "curve.csv", row)
+            note(out / "curve.csv", row)
             torch.save(
                 {
                     "net": net.state_dict(),
@@ -238,12 +238,26 @@ def fit(
     return mean.eval()
 
 
-def _schedule(step: int, steps: int) -> float:
-    warm = min(1.0, (step + 1) / 200.0)
+def schedule(step: int, steps: int, warm_up: int = 200) -> float:
+    """Return the share of the highest learning rate: a ramp, then half a cosine.
+
+    Args:
+        step: From 0.
+        steps: In all.
+        warm_up: Length of the ramp.
+    """
+    warm = min(1.0, (step + 1) / warm_up)
     return warm * (0.01 + 0.99 * 0.5 * (1.0 + math.cos(math.pi * step / steps)))
 
 
-def _average(mean: PersonNet, net: PersonNet, keep: float) -> None:
+def average(mean: nn.Module, net: nn.Module, keep: float) -> None:
+    """Move averaged weights towards a network's.
+
+    Args:
+        mean: The averaged network, changed.
+        net: The network.
+        keep: Share of the old mean that is kept.
+    """
     with torch.no_grad():
         for own, new in zip(mean.state_dict().values(), net.state_dict().values(), strict=True):
             if own.dtype.is_floating_point:
@@ -255,10 +269,17 @@ def _average(mean: PersonNet, net: PersonNet, keep: float) -> None:
 _COLUMNS = ("step", "seconds", "score", "box", "ap10", "ap25", "ap50", "recall95")
 
 
-def _note(path: Path, row: dict[str, Any]) -> None:
+def note(path: Path, row: dict[str, Any], columns: tuple[str, ...] = _COLUMNS) -> None:
+    """Add a row to a curve, and print it.
+
+    Args:
+        path: The curve, CSV.
+        row: Values by column.
+        columns: Of the curve.
+    """
     fresh = not path.exists()
     with path.open("a", newline="") as stream:
-        writer = csv.DictWriter(stream, _COLUMNS)
+        writer = csv.DictWriter(stream, columns)
         if fresh:
             writer.writeheader()
         writer.writerow(row)

@@ -16,7 +16,15 @@ SIZE_UNIT = 16.0
 """Box sides are learned as logarithms in this unit [px]."""
 
 
-def _conv(before: int, after: int, size: int = 3, stride: int = 1) -> nn.Sequential:
+def conv(before: int, after: int, size: int = 3, stride: int = 1) -> nn.Sequential:
+    """Return a convolution, normalised and rectified.
+
+    Args:
+        before: Channels that come in.
+        after: Channels that go out.
+        size: Of the filters [px].
+        stride: Of the convolution [px].
+    """
     return nn.Sequential(
         nn.Conv2d(before, after, size, stride, size // 2, bias=False),
         nn.BatchNorm2d(after),
@@ -27,7 +35,7 @@ def _conv(before: int, after: int, size: int = 3, stride: int = 1) -> nn.Sequent
 class _Residual(nn.Module):
     def __init__(self, width: int) -> None:
         super().__init__()
-        self.first = _conv(width, width)
+        self.first = conv(width, width)
         self.second = nn.Sequential(
             nn.Conv2d(width, width, 3, 1, 1, bias=False), nn.BatchNorm2d(width)
         )
@@ -53,15 +61,15 @@ class PersonNet(nn.Module):
         first, second, middle, deep, head = widths
         self.channels = channels
         self.stem = nn.Sequential(
-            _conv(channels, first, 5, 2), _conv(first, second, 3, 2), _Residual(second)
+            conv(channels, first, 5, 2), conv(first, second, 3, 2), _Residual(second)
         )
         self.middle = nn.Sequential(
-            _conv(second, middle, 3, 2), _Residual(middle), _Residual(middle)
+            conv(second, middle, 3, 2), _Residual(middle), _Residual(middle)
         )
-        self.deep = nn.Sequential(_conv(middle, deep, 3, 2), _Residual(deep))
-        self.lift = _conv(deep, middle, 1)
-        self.join = _conv(2 * middle, middle)
-        self.head = _conv(middle, head)
+        self.deep = nn.Sequential(conv(middle, deep, 3, 2), _Residual(deep))
+        self.lift = conv(deep, middle, 1)
+        self.join = conv(2 * middle, middle)
+        self.head = conv(middle, head)
         self.score = nn.Conv2d(head, 1, 1)
         self.box = nn.Conv2d(head, 4, 1)
         nn.init.constant_(self.score.bias, -4.6)
