@@ -7,15 +7,19 @@ from typing import Any
 
 import cv2
 import numpy as np
+import warp as wp
 
 from bench.harness import SMOKE, Contenders, size
 from hsvaos import Detector
 from hsvaos.benchmark.scenes import photos
 from hsvaos.detect.anomaly import find_persons
+from hsvaos.detect.fragment_input import FragmentInput
+from hsvaos.detect.fragments import FragmentNet
 from hsvaos.detect.layouts import own_channels
 from hsvaos.detect.network import Network
 from hsvaos.detect.network_input import CHANNELS, network_input
 from hsvaos.detect.yolo import PACKAGED
+from hsvaos.kernels.rarity import rarity_model
 from hsvaos.settings import DetectSettings
 
 VIEWS = 2 if SMOKE else 117
@@ -68,10 +72,22 @@ def many_views() -> Contenders:
     }
 
 
+def pieces() -> Contenders:
+    held: Any = wp.array(photos(2, size(1024)), dtype=wp.uint8, device="cpu")
+    inputs = FragmentInput(held, rarity_model(held))
+    net, planes = FragmentNet(provider="cpu"), inputs(0)
+    return {
+        "hsvaos FragmentNet": lambda: net.of_planes(inputs(0)),
+        "  of it preparing the input": lambda: inputs(0),
+        "  of it the network": lambda: net.of_planes(planes),
+    }
+
+
 RACES: dict[str, Callable[[], Contenders]] = {
     "people in a view of 512 px": one_view(512),
     "people in a view of 1024 px": one_view(1024),
     f"people in {VIEWS} views of 512 px": many_views,
+    "pieces of people in a photo of 1024 px": pieces,
 }
 
 

@@ -26,6 +26,7 @@ import hsvaos
 from hsvaos.camera import VirtualCamera
 from hsvaos.detect.anomaly import find_persons
 from hsvaos.detect.detections import Detections
+from hsvaos.detect.fragments import FragmentNet
 from hsvaos.detect.locate import ViewFinds, box_places, merge_views
 from hsvaos.detect.yolo import Detector
 from hsvaos.evaluate.results import FlightResult, JudgedView
@@ -39,7 +40,7 @@ from hsvaos.kernels.integrate import Integrator
 from hsvaos.kernels.rays import focal_points
 from hsvaos.masking import make_masks
 from hsvaos.photos import Photos, load_photos
-from hsvaos.rendering import make_integrators
+from hsvaos.rendering import fragment_integrator, make_integrators
 from hsvaos.settings import DetectSettings, Settings, ViewSettings
 from hsvaos.surface import FocalPlane
 
@@ -94,7 +95,7 @@ def methods(coco: Path | None = None) -> dict[str, Method]:
         return lambda layers: detector.detect(layers[name][0], footprint=layers[name][1])
 
     def everything(
-        *, rays: bool = True, rarity: bool = True, coherence: bool = True
+        *, rays: bool = True, rarity: bool = True, coherence: bool = True, fragments: bool = True
     ) -> Callable[[Layers], Detections]:
         def find(layers: Layers) -> Detections:
             rare, count = layers["rarity_map"]
@@ -104,6 +105,7 @@ def methods(coco: Path | None = None) -> dict[str, Method]:
                 rarity=rare[..., 0] if rarity else None,
                 plain=layers["plain"][0],
                 coherence=layers["coherence"] if coherence else None,
+                fragments=layers["fragments"][0][..., 0] if fragments else None,
             )
 
         return find
@@ -135,6 +137,7 @@ def methods(coco: Path | None = None) -> dict[str, Method]:
         "all but rays": Method(everything(rays=False), score),
         "all but rarity map": Method(everything(rarity=False), score),
         "all but coherence": Method(everything(coherence=False), score),
+        "all but fragments": Method(everything(fragments=False), score),
         "peaks of rarity": Method(of_peaks("rarity_map"), peaks.min_z),
         "peaks of RX": Method(of_peaks("anomaly_map"), peaks.min_z),
         **({} if coco is None else of_coco()),
@@ -147,6 +150,7 @@ def integrators(photos: Photos, ablation: bool) -> dict[str, Integrator]:
     masks = make_masks(photos, settings)
     by = make_integrators(photos, masks, "hue")
     found = {"plain": by.plain, "rarity": by.rarity, "rarity_map": by.rarity_map}
+    found["fragments"] = fragment_integrator(photos, masks, FragmentNet())
     if by.hue is not None:
         found["hue"] = by.hue
     if ablation and by.anomaly_map is not None:

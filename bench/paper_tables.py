@@ -55,8 +55,9 @@ STORY = (
 )
 
 ABLATION = (
-    "hsvaos", "all but coherence", "all but rays", "all but rarity map", "rarity image",
-    "rarity x hue image", "HSV-AOS", "hue, not brightened", "AOS", "peaks of rarity", "peaks of RX",
+    "hsvaos", "all but fragments", "all but coherence", "all but rays", "all but rarity map",
+    "rarity image", "rarity x hue image", "HSV-AOS", "hue, not brightened", "AOS",
+    "peaks of rarity", "peaks of RX",
 )  # fmt: skip
 FOREIGN = ("COCO network, HSV-AOS", "COCO network, AOS")
 """Rows that are there only where `run` was given such a network."""

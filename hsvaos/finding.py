@@ -17,7 +17,7 @@ class Finder:
 
     Args:
         layers: Names of the layers it looks at: "plain", "chosen", "rarity", "rarity_map",
-            "anomaly_map", "coherence".
+            "anomaly_map", "coherence", "fragments"; the last one where there is one.
         least_score: Score below which a person, seen over all views, is left out.
         find: Called with layers by name, each (image, footprint), and the ground sampling distance
             [m/px].
@@ -101,10 +101,14 @@ def _network_finder(settings: DetectSettings) -> Finder:
             rarity=rarity[..., 0],
             plain=layers["plain"][0],
             coherence=layers["coherence"],
+            fragments=layers["fragments"][0][..., 0] if "fragments" in layers else None,
             gsd_m=gsd_m,
         )
         return best(found)
 
     if settings.inputs == "image" or detector.layout != "hsvaos":
         return Finder(("chosen",), least, find_in_image)
-    return Finder(("rarity_map", "rarity", "plain", "coherence"), least, find_in_all)
+    looked_at: tuple[str, ...] = ("rarity_map", "rarity", "plain", "coherence")
+    if settings.inputs == "all" and detector.sees_fragments:
+        looked_at = (*looked_at, "fragments")
+    return Finder(looked_at, least, find_in_all)

@@ -18,6 +18,7 @@ from hsvaos.kernels.levels import channel_quantiles, level_gains
 from hsvaos.kernels.packing import Packed
 from hsvaos.kernels.rarity import rarity_weights
 from hsvaos.photos import Photos, Progress
+from hsvaos.rarity_model import RarityModel
 from hsvaos.settings import MaskSettings, Settings
 
 STEPS = 4
@@ -31,6 +32,7 @@ class Masks:
         gains: Shape (N, 3), factors that level the photos; None where they are not levelled.
         hue: Shape (N, H, W), uint8, the hue cut; None for grey photos.
         rarity: Shape (N, H, W), float32, rarity weights.
+        rarity_model: The histogram of the levelled photos that they follow.
         anomaly: Shape (N, H, W), uint8, RX masks; None unless asked for.
         brightened: Photos levelled, and their kept dark pixels brightened; None where not wanted,
             and where `packed` holds them.
@@ -45,6 +47,7 @@ class Masks:
     gains: NDArray[np.float64] | None
     hue: Any
     rarity: Any
+    rarity_model: RarityModel
     anomaly: Any
     brightened: Any
     packed: Packed | None
@@ -78,14 +81,15 @@ def make_masks(photos: Photos, settings: Settings, progress: Progress | None = N
         stats = by_hand(mask, stats)
         hue, brightened, packed = cut_hues(photos, mask, stats, gains)
     step("cutting hues")
-    rarity = weigh_rarity(photos, mask, gains)
+    rarity, model = weigh_rarity(photos, mask, gains)
     step("weighing rarity")
     anomaly = None
     if "anomaly" in (mask.method, settings.detect.method):
         anomaly = find_anomalies(photos, mask, gains)
     step("finding anomalies")
     summary, notes = _summary(photos, mask, hue, stats, anomaly)
-    return Masks(gains, hue, rarity, anomaly, brightened, packed, stats, histogram, summary, notes)
+    pictures = (hue, rarity, model, anomaly, brightened, packed)
+    return Masks(gains, *pictures, stats, histogram, summary, notes)
 
 
 def levelled(photos: Photos, settings: Settings) -> NDArray[np.float64] | None:
@@ -146,10 +150,10 @@ def cut_hues(
 
 def weigh_rarity(
     photos: Photos, mask: MaskSettings, gains: NDArray[np.float64] | None = None
-) -> Any:
-    """Return rarity weights; see `Masks.rarity`."""
+) -> tuple[Any, RarityModel]:
+    """Return rarity weights and their model; see `Masks`."""
     threshold = mask.rarity_threshold if photos.is_colour else mask.grey_rarity_threshold
-    weights, _ = rarity_weights(
+    weights, model = rarity_weights(
         photos.images,
         threshold=threshold,
         exponent=mask.rarity_exponent,
@@ -158,7 +162,7 @@ def weigh_rarity(
         valid=photos.valid,
         gains=gains,
     )
-    return _with_kept_colours(photos, mask, weights, gains)
+    return _with_kept_colours(photos, mask, weights, gains), model
 
 
 def find_anomalies(

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from time import perf_counter
 from typing import Any
 
+from hsvaos.detect.fragments import FragmentNet
 from hsvaos.detect.locate import merge_views
 from hsvaos.finding import make_finder
 from hsvaos.flight import Flight
 from hsvaos.focusing import choose_surface, without_parallax
 from hsvaos.kernels.device import resolve_device
-from hsvaos.masking import as_bytes, make_masks
-from hsvaos.photos import Progress, load_photos, with_poses
-from hsvaos.rendering import Renderer, make_integrators
+from hsvaos.masking import Masks, as_bytes, make_masks
+from hsvaos.photos import Photos, Progress, load_photos, with_poses
+from hsvaos.rendering import Integrators, Renderer, fragment_integrator, make_integrators
 from hsvaos.result import Result, ViewResult
 from hsvaos.settings import Settings
-from hsvaos.viewing import choose_views
+from hsvaos.surface import FocalSurface
+from hsvaos.viewing import choose_views, photo_sampling
 
 
 def run(
@@ -68,6 +71,9 @@ def run(
     clock("focus")
     views, shown = choose_views(photos.flight, settings.view, surface)
     finder = make_finder(settings.detect, len(photos.flight))
+    if finder is not None and "fragments" in finder.layers and photos.is_colour:
+        by = _with_fragments(by, photos, masks, surface, progress)
+        clock("look at photos")
     spreads = photos.flight.pose_covariances
     renderer = Renderer(by, settings, surface, finder, pose_covariances=spreads)
     renderer = renderer.with_ground_for(photos.flight, [view for _, view in views])
@@ -107,6 +113,18 @@ def run(
         mask=settings.mask.method,
         detected=settings.detect.enabled,
     )
+
+
+def _with_fragments(
+    by: Integrators,
+    photos: Photos,
+    masks: Masks,
+    surface: FocalSurface,
+    progress: Progress | None,
+) -> Integrators:
+    """Let a network look for pieces of people in every photo."""
+    net, gsd_m = FragmentNet(), photo_sampling(photos.flight, surface)
+    return replace(by, fragments=fragment_integrator(photos, masks, net, gsd_m, progress))
 
 
 class _Clock:

@@ -7,10 +7,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 
 from hsvaos.camera import VirtualCamera
 from hsvaos.detect.detections import Detections
+from hsvaos.detect.fragment_input import FragmentInput
+from hsvaos.detect.fragments import FragmentNet
 from hsvaos.detect.locate import ViewFinds, box_places, pose_spread
 from hsvaos.finding import Finder
 from hsvaos.flight import Flight, FlightError
@@ -19,7 +22,7 @@ from hsvaos.kernels.integrate import Integrator
 from hsvaos.kernels.packing import Packed
 from hsvaos.kernels.rays import focal_points
 from hsvaos.masking import Masks
-from hsvaos.photos import Photos
+from hsvaos.photos import Photos, Progress, resized
 from hsvaos.result import ViewResult
 from hsvaos.settings import Settings
 from hsvaos.surface import FocalSurface
@@ -36,6 +39,7 @@ class Integrators:
         hue: Weighed by the hue cut; None for grey photos.
         rarity_map: The rarity weights themselves, integrated as an image.
         anomaly_map: The RX masks integrated as an image; None unless they were made.
+        fragments: Evidence of pieces of people, integrated as an image; None unless it was made.
     """
 
     plain: Integrator
@@ -44,6 +48,7 @@ class Integrators:
     hue: Integrator | None
     rarity_map: Integrator
     anomaly_map: Integrator | None = None
+    fragments: Integrator | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,11 +125,10 @@ class Renderer:
 
     def _needed(self) -> tuple[str, ...]:
         looked_at = self.finder.layers if self.finder is not None else ()
-        return (
-            "rarity_map",
-            "chosen",
-            *(n for n in looked_at if n not in ("rarity_map", "chosen")),
+        left_out = {"rarity_map", "chosen"} | (
+            {"fragments"} if self.by.fragments is None else set()
         )
+        return ("rarity_map", "chosen", *(n for n in looked_at if n not in left_out))
 
     def _layers(
         self, view: VirtualCamera, hits: NDArray[np.float32], *, exactly: bool
@@ -188,6 +192,44 @@ def hue_integrator(
     if packed is not None:  # levelled already
         return Integrator(camera, photos.images, poses, hue, packed=packed)
     return Integrator(camera, photos.images, poses, hue, gains=gains)
+
+
+def fragment_integrator(
+    photos: Photos,
+    masks: Masks,
+    net: FragmentNet,
+    gsd_m: float | None = None,
+    progress: Progress | None = None,
+) -> Integrator:
+    """Return the integrator of what every photo says of pieces of people.
+
+    Args:
+        photos: Colour photos.
+        masks: Their weights.
+        net: The network that looks at them.
+        gsd_m: Ground sampling distance of the photos [m/px], see `FragmentNet.evidence`.
+        progress: Told how many photos are done.
+    """
+
+    def report(done: int, count: int) -> None:
+        if progress is not None:
+            progress("looking for pieces of people", done, count)
+
+    inputs = FragmentInput(photos.images, masks.rarity_model, masks.gains)
+    evidence = net.evidence(inputs, gsd_m, report)
+    height, width = evidence.shape[1:]
+    camera, valid = photos.flight.camera, photos.valid
+    if (width, height) != (camera.width, camera.height):
+        camera = camera.scaled(width, height)
+        valid = None if valid is None else _resized_masks(valid, width, height)
+    on_device: Any = wp.array(evidence, dtype=wp.uint16, device=photos.images.device)
+    return Integrator(camera, on_device, photos.flight.poses, valid)
+
+
+def _resized_masks(valid: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
+    if valid.ndim == 2:
+        return resized(valid, width, height)
+    return np.stack([resized(one, width, height) for one in valid])
 
 
 def sampling_distance(view: VirtualCamera, hits: NDArray[np.float32]) -> float:

@@ -185,8 +185,9 @@ class DetectSettings:
         method: "network" (the person network), or peaks without weights: "rarity" of the rarity
             map, "anomaly" of the share of rays that RX calls anomalous.
         inputs: What the network is shown: "all" (the rarity-weighted and the plain integral image,
-            the rarity map and the number of rays) or "image" (only the integral image of the
-            chosen mask, as in the paper).
+            the rarity map, the number of rays, coherence, and what a second network sees in every
+            photo), "integrals" (all but that, in half the time) or "image" (only the integral image
+            of the chosen mask, as in the paper).
         model: File of another network (ONNX); by default the one in the package.
         layout: What its outputs mean, see `hsvaos.Detector`.
         min_score: Score of the network from which a box is a find; by default the model's own.
@@ -214,7 +215,7 @@ class DetectSettings:
     def __post_init__(self) -> None:
         _check_types(self, "detect")
         _one_of(self.method, "detect.method", DETECTORS)
-        _one_of(self.inputs, "detect.inputs", ("all", "image"))
+        _one_of(self.inputs, "detect.inputs", ("all", "integrals", "image"))
         score = self.min_score
         _require(score is None or 0.0 < score < 1.0, "detect.min_score", "in (0, 1)", score)
         _require(self.min_z > 0.0, "detect.min_z", "a positive number", self.min_z)

@@ -99,6 +99,24 @@ def ground_grid(flight: Flight, surface: FocalSurface, gsd_m: float | None) -> V
     return VirtualCamera.ortho(float(north), float(west), gsd, width, height_px)
 
 
+def photo_sampling(flight: Flight, surface: FocalSurface) -> float | None:
+    """Return the ground sampling distance of a flight's photos [m/px], the median of their centres.
+
+    Args:
+        flight: The flight, with poses.
+        surface: The focal surface; a terrain counts as level at its middle.
+
+    Returns:
+        The distance; None where the surface has no level or no photo is above it.
+    """
+    try:
+        heights = _level(surface) - flight.poses[:, 2, 3]
+    except FlightError:
+        return None
+    above = heights[heights > 0.0]
+    return float(np.median(above)) / flight.camera.fx if above.size else None
+
+
 def _level(surface: FocalSurface) -> float:
     if isinstance(surface, FocalTerrain):
         return float(np.nanmedian(surface.down_m))

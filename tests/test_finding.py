@@ -52,7 +52,7 @@ def settings(**values):
 )
 def test_the_network_sees_everything(red_net, channel, layer):
     finder = make_finder(settings(model=red_net(channel)), 30)
-    assert set(finder.layers) == {"rarity", "plain", "rarity_map", "coherence"}
+    assert set(finder.layers) == {"rarity", "plain", "rarity_map", "coherence", "fragments"}
     shown = layers()
     assert len(finder(shown, 0.05)) == 0
     shown[layer][0][64:80, 96:112, 0] *= 3.0
@@ -69,6 +69,21 @@ def test_the_network_sees_coherence(red_net):
     found = finder(shown, 0.05)
     assert len(found) == 1
     assert found.boxes_xyxy[0] == pytest.approx([95.5, 63.5, 111.5, 79.5], abs=1e-3)
+
+
+def test_the_network_sees_fragments_where_there_are_some(red_net):
+    path = red_net("fragments")
+    finder = make_finder(settings(model=path), 30)
+    assert set(finder.layers) == {"rarity", "plain", "rarity_map", "coherence", "fragments"}
+    shown = layers()
+    assert len(finder(shown, 0.05)) == 0  # a grey flight has none
+    evidence = np.abs(np.random.default_rng(1).normal(900.0, 90.0, (*SIZE, 1))).astype(np.float32)
+    evidence[64:80, 96:112] *= 8.0
+    found = finder(shown | {"fragments": (evidence, shown["plain"][1])}, 0.05)
+    assert len(found) == 1
+    assert found.boxes_xyxy[0] == pytest.approx([95.5, 63.5, 111.5, 79.5], abs=1e-3)
+    hurried = make_finder(settings(model=path, inputs="integrals"), 30)
+    assert "fragments" not in hurried.layers
 
 
 def test_the_paper_shows_it_the_chosen_image_only(red_net):

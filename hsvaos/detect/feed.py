@@ -70,6 +70,7 @@ class PhotoFeed:
 
     Attributes:
         score: Score from which a box counts, by default.
+        sees_fragments: No.
 
     Args:
         network: The network.
@@ -85,6 +86,7 @@ class PhotoFeed:
         self, network: Network, layout: Layout, size_px: int | None, slice_px: int | None
     ) -> None:
         self.score = layout.score
+        self.sees_fragments = False
         self._layout = layout
         self._size = input_size(network, size_px)
         self._slice = slice_px
@@ -115,6 +117,7 @@ class OwnFeed:
 
     Attributes:
         score: Score from which a box counts, by default.
+        sees_fragments: Whether the network looks at the evidence of pieces of people.
 
     Args:
         network: The network.
@@ -132,6 +135,7 @@ class OwnFeed:
         self._grey = names[0] in GREY_CHANNELS
         known = GREY_CHANNELS if self._grey else CHANNELS
         self._channels = [known.index(name) for name in names]
+        self.sees_fragments = "fragments" in names
         self.score = _threshold(network, layout.score)
         self._gsd_m, self._aim_m = _trained_gsd(network)
         self._fixed = network.picture.shape[2:]
@@ -174,7 +178,8 @@ class OwnFeed:
             agreed = None
             if view.coherent is not None and view.coherence is not None:
                 agreed = (view.coherent, view.coherence)
-            planes = network_input(view.image, view.footprint, view.rarity, view.plain, agreed)
+            known = view.footprint, view.rarity, view.plain, agreed, view.fragments
+            planes = network_input(view.image, *known)
         if self._channels != list(range(len(planes))):
             planes = planes[self._channels]
         height, width = (

@@ -16,7 +16,7 @@ from hsvaos.detect.surprise import surprise_of_colours, surprise_of_contrasts
 CHANNELS = (
     *("red", "green", "blue", "plain red", "plain green", "plain blue", "rarity", "rays"),
     *("coherence", "plain surprise", "rare colour", "rare contrast"),
-    *("coherent colour", "coherent contrast"),
+    *("coherent colour", "coherent contrast", "fragments"),
 )
 """Channels of the network's input, in order."""
 
@@ -42,6 +42,7 @@ def network_input(
     rarity: ArrayLike | None = None,
     plain: ArrayLike | None = None,
     coherence: tuple[ArrayLike, ArrayLike] | None = None,
+    fragments: ArrayLike | None = None,
 ) -> NDArray[np.float32]:
     """Return the input of the person network for one integral image.
 
@@ -59,9 +60,11 @@ def network_input(
         plain: Shape (H, W, 3) or (H, W), the plain mean of all rays. By default the image.
         coherence: Mean colour of the rays that agree, shape (H, W, 3) or (H, W), and how much they
             do, shape (H, W), see `Integrator.coherence`. None if unknown.
+        fragments: Shape (H, W), any unit, the evidence of pieces of people in single photos, see
+            `FragmentNet`, averaged over the rays. None if unknown.
 
     Returns:
-        Shape (14, H, W), float32, see `CHANNELS`.
+        Shape (15, H, W), float32, see `CHANNELS`.
 
     Raises:
         ValueError: If a shape does not fit.
@@ -97,6 +100,11 @@ def network_input(
     if coherence is not None:
         everywhere = np.ones(size, dtype=np.bool_) if rays is None else rays > 0.0
         whole[8], whole[12], whole[13] = _coherence(coherence, everywhere)
+    pieces = _fitting(fragments, size, "fragments")
+    if pieces is not None:
+        known = np.isfinite(pieces) & (seen if rays is None else rays > 0.0)
+        pieces = np.where(known, pieces, np.float32(0.0))
+        whole[14] = _compressed(local_contrast(pieces[..., None], known))[0]
     return whole
 
 

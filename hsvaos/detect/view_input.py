@@ -32,6 +32,7 @@ class ViewInput:
         plain: Like the image, the integral image without a mask; or None.
         coherent: Like the image, the mean colour of the rays that agree; or None.
         coherence: Shape (H, W), float32, how much they do; None with `coherent`.
+        fragments: Shape (H, W), float32, mean evidence of pieces of people; or None.
     """
 
     image: Array
@@ -40,6 +41,7 @@ class ViewInput:
     plain: Array | None = None
     coherent: Array | None = None
     coherence: Array | None = None
+    fragments: Array | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -114,7 +116,8 @@ class ViewInput:
 
     @property
     def _others(self) -> tuple[Array | None, ...]:
-        return self.footprint, self.rarity, self.plain, self.coherent, self.coherence
+        agreeing = self.coherent, self.coherence
+        return self.footprint, self.rarity, self.plain, *agreeing, self.fragments
 
     def _each(self, change: Callable[[Array], Array]) -> ViewInput:
         changed = [None if part is None else change(part) for part in self._others]
@@ -146,6 +149,7 @@ def checked_view(
     rarity: ArrayLike | None = None,
     plain: ArrayLike | None = None,
     coherence: tuple[ArrayLike, ArrayLike] | None = None,
+    fragments: ArrayLike | None = None,
 ) -> ViewInput:
     """Check the arrays of a view; NaN and infinity count as not known.
 
@@ -156,6 +160,7 @@ def checked_view(
         plain: The integral image without a mask, shapes as `image`.
         coherence: Mean colour of the rays that agree, shapes as `image`, and how much they do,
             shape (H, W); see `Integrator.coherence`.
+        fragments: Shape (H, W), mean evidence of pieces of people over the rays.
 
     Raises:
         ValueError: If a shape is wrong; the message names the argument.
@@ -171,7 +176,8 @@ def checked_view(
         raise ValueError(f"coherence must be a pair (image, coherence), got {len(coherence)} parts")
     agreed, much = (None, None) if coherence is None else coherence
     other, agreed = (_other(plain, "plain", size), _other(agreed, "coherence[0]", size))
-    return ViewInput(picture, rays, rare, other, agreed, _map(much, "coherence[1]", size))
+    alike, pieces = _map(much, "coherence[1]", size), _map(fragments, "fragments", size)
+    return ViewInput(picture, rays, rare, other, agreed, alike, pieces)
 
 
 def windows(size: tuple[int, int], side: tuple[int, int], overlap: int) -> list[Window]:

@@ -44,6 +44,7 @@ class Detector:
         people: Numbers of the classes that count as people.
         score: Score from which a box counts.
         notes: What was assumed or could not be used, one line each.
+        sees_fragments: Whether the evidence of pieces of people is of use to the network.
 
     Args:
         model: ONNX file or its content; by default our own weights: one network for colour, and one
@@ -114,6 +115,7 @@ class Detector:
             self._feed = OwnFeed(self._network, self._layout, part)
         else:
             self._feed = PhotoFeed(self._network, self._layout, side, part)
+        self.sees_fragments = self._feed.sees_fragments
         self.score = self._feed.score if score is None else _share(score, "score")
         self._for_grey: Callable[[], Detector] | None = None
         if packaged and PACKAGED_GREY.is_file():
@@ -140,6 +142,7 @@ class Detector:
         rarity: ArrayLike | None = None,
         plain: ArrayLike | None = None,
         coherence: tuple[ArrayLike, ArrayLike] | None = None,
+        fragments: ArrayLike | None = None,
         gsd_m: float | None = None,
     ) -> Detections:
         """Find the people in one view.
@@ -153,6 +156,8 @@ class Detector:
             rarity: Shape (H, W), mean rarity weight over the rays, for our own networks.
             plain: Like the image, the integral image without a mask, for our own networks.
             coherence: What `Integrator.coherence` returns, for our own networks.
+            fragments: Shape (H, W), mean evidence of pieces of people over the rays (see
+                `FragmentNet`), for our own network of colour images.
             gsd_m: Ground sampling distance [m/px]. Our own networks take 0.045 to 0.09, of grey
                 images 0.07 to 0.146: beyond that the view is resampled. By default it is taken as
                 it is.
@@ -170,6 +175,7 @@ class Detector:
             rarities=None if rarity is None else [rarity],
             plains=None if plain is None else [plain],
             coherences=None if coherence is None else [coherence],
+            fragments=None if fragments is None else [fragments],
             gsd_m=gsd_m,
         )[0]
 
@@ -181,6 +187,7 @@ class Detector:
         rarities: Sequence[ArrayLike | None] | None = None,
         plains: Sequence[ArrayLike | None] | None = None,
         coherences: Sequence[tuple[ArrayLike, ArrayLike] | None] | None = None,
+        fragments: Sequence[ArrayLike | None] | None = None,
         gsd_m: float | Sequence[float | None] | None = None,
     ) -> list[Detections]:
         """Find the people in several views, several at a time where the network allows it.
@@ -191,6 +198,7 @@ class Detector:
             rarities: One a view, or None.
             plains: One a view, or None.
             coherences: One pair a view, or None.
+            fragments: One a view, or None.
             gsd_m: For all views, or one a view [m/px].
 
         Returns:
@@ -207,6 +215,7 @@ class Detector:
             _one_each(rarities, count, "rarities"),
             _one_each(plains, count, "plains"),
             _one_each(coherences, count, "coherences"),
+            _one_each(fragments, count, "fragments"),
         )
         many = isinstance(gsd_m, Sequence | np.ndarray) and not isinstance(gsd_m, str)
         distances = _one_each(gsd_m if many else [gsd_m] * count, count, "gsd_m")

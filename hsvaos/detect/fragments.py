@@ -1,0 +1,116 @@
+"""Pieces of people in single photos: what every ray says of the ground point it comes from.
+
+Weights by colour alone ask whether a pixel can be a leaf. A small network looks at the photo
+around the pixel too: a patch of cloth between leaves has a shade, an edge and a size that litter,
+snow and crowns do not have. What it says is the evidence of one ray, no verdict: most pieces are a
+few pixels large. Averaged over rays like any photo, evidence adds up where people lie, and blurs
+away with the crowns everywhere else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hsvaos.detect.fragment_input import FRAGMENT_CHANNELS, FragmentInput
+from hsvaos.detect.network import Network
+
+PACKAGED_FRAGMENTS = Path(__file__).with_name("fragments.onnx")
+"""Our own weights."""
+
+_MULTIPLE = 8
+"""Sides of the input must be multiples of this."""
+
+_GSD_M = (0.03, 0.055)
+"""Ground sampling distances of photos [m/px] that the network takes as they are."""
+
+_AIM_GSD_M = 0.04
+
+_FULL = 65535.0
+
+
+class FragmentNet:
+    """Tells how much each pixel of a photo looks like a piece of a person.
+
+    Args:
+        model: ONNX file; by default our own weights.
+        provider: "cuda", "tensorrt" or "cpu"; by default the first one that is here.
+        threads: CPU threads that the network uses; by default one a core.
+
+    Raises:
+        ValueError: If the network cannot be read, or is none of fragments.
+    """
+
+    def __init__(
+        self,
+        model: str | Path | None = None,
+        provider: str | None = None,
+        threads: int | None = None,
+    ) -> None:
+        self._network = Network(PACKAGED_FRAGMENTS if model is None else model, provider, threads)
+        named = self._network.metadata.get("channels", "")
+        if named != ",".join(FRAGMENT_CHANNELS):
+            raise ValueError(
+                f"{self._network.name}: expected a network of fragments, with the channels "
+                f"{', '.join(FRAGMENT_CHANNELS)} in its metadata, got {named or 'none'}"
+            )
+
+    def evidence(
+        self,
+        photos: FragmentInput,
+        gsd_m: float | None = None,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> NDArray[np.uint16]:
+        """Return the evidence of every pixel of every photo.
+
+        Args:
+            photos: The inputs of a flight.
+            gsd_m: Ground sampling distance of the photos [m/px]: far from that of training they are
+                resampled, and the evidence is smaller or larger than they. By default they are
+                taken as they are.
+            progress: Told how many photos are done.
+
+        Returns:
+            Shape (N, h, w), uint16, 65535 = 1: log(1 + 7.4 odds) / 10 of a piece of a person.
+        """
+        found: NDArray[np.uint16] | None = None
+        for index in range(len(photos)):
+            planes = resampled(photos(index), gsd_m)
+            if found is None:
+                found = np.empty((len(photos), *planes.shape[1:]), dtype=np.uint16)
+            found[index] = np.rint(self.of_planes(planes) * np.float32(_FULL))
+            if progress is not None:
+                progress(index + 1, len(photos))
+        assert found is not None, "a flight has photos"
+        return found
+
+    def of_planes(self, planes: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the evidence of one photo, shape (H, W), 0 to 1.
+
+        Args:
+            planes: Shape (5, H, W), from `FragmentInput`.
+        """
+        height, width = planes.shape[1:]
+        beyond = (0, 0), (0, -height % _MULTIPLE), (0, -width % _MULTIPLE)
+        whole = np.pad(planes, beyond, mode="edge")[None]
+        (evidence,) = self._network.run({self._network.picture.name: whole}).values()
+        return np.asarray(evidence[0, 0, :height, :width])
+
+
+def resampled(planes: NDArray[np.float32], gsd_m: float | None) -> NDArray[np.float32]:
+    """Return an input at a sampling distance that the network knows.
+
+    Args:
+        planes: Shape (5, H, W).
+        gsd_m: Ground sampling distance [m/px]; None to leave it.
+    """
+    if gsd_m is None or _GSD_M[0] <= gsd_m <= _GSD_M[1]:
+        return planes
+    factor = gsd_m / _AIM_GSD_M
+    height, width = (max(1, round(side * factor)) for side in planes.shape[1:])
+    how = cv2.INTER_AREA if factor < 1.0 else cv2.INTER_LINEAR
+    return np.stack([cv2.resize(plane, (width, height), interpolation=how) for plane in planes])

@@ -1,0 +1,139 @@
+"""Pieces of people in single photos: the network's input, and what it says of them."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+import warp as wp
+
+from hsvaos import reference
+from hsvaos.demo import demo_flight
+from hsvaos.detect.fragment_input import FRAGMENT_CHANNELS, FragmentInput, surprises
+from hsvaos.detect.fragments import FragmentNet, resampled
+from hsvaos.detect.yolo import PACKAGED
+from hsvaos.kernels.rarity import rarity_model
+from hsvaos.masking import make_masks
+from hsvaos.photos import load_photos, with_poses
+from hsvaos.rarity_model import model_from_counts
+from hsvaos.rendering import fragment_integrator
+from hsvaos.settings import Settings
+from hsvaos.surface import FocalPlane
+from hsvaos.viewing import ground_grid
+
+SHAPE = (3, 40, 56)
+
+
+def forest(dtype, seed=0):
+    """Greens of some spread, and a few pixels of every colour."""
+    rng = np.random.default_rng(seed)
+    unit = np.clip(rng.normal([0.2, 0.35, 0.12], 0.05, (*SHAPE, 3)), 0.02, 0.9)
+    odd = rng.uniform(size=SHAPE) < 0.02
+    unit[odd] = rng.uniform(0.05, 0.9, (int(odd.sum()), 3))
+    if dtype is np.float32:
+        return unit.astype(np.float32)
+    return np.rint(unit * np.iinfo(dtype).max).astype(dtype)
+
+
+def inputs_of(images, gains=None):
+    held = wp.array(np.ascontiguousarray(images), dtype=wp.dtype_from_numpy(images.dtype))
+    return FragmentInput(held, rarity_model(held, gains=gains), gains)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_the_input_is_what_numpy_makes_of_photos(dtype):
+    images = forest(dtype)
+    gains = np.random.default_rng(1).uniform(0.8, 1.2, (3, 3))
+    inputs = inputs_of(images, gains)
+    top = 1.0 if dtype is np.float32 else float(np.iinfo(dtype).max)
+    levelled = images / top * gains[:, None, None, :]
+    middles = [np.median(photo[::8, ::8].max(axis=2)) for photo in levelled]
+    light = levelled * (0.25 / np.median(middles))
+    place = reference.rarity_coordinates(levelled[1])
+    clear = (np.abs(place - np.rint(place)) > 1e-2).all(axis=-1)
+    bins = reference.rarity_bins(levelled[1])
+    model = rarity_model(images, gains=gains)
+    lightness = model.counts.sum(axis=(1, 2)) / model.counts.sum()
+    share = model.probability.reshape(-1)[bins]
+    both = share * lightness[bins // 1600]
+    planes = inputs(1)
+    assert planes.shape == (len(FRAGMENT_CHANNELS), *SHAPE[1:])
+    assert planes.dtype == np.float32
+    want = 4.0 * np.sqrt(np.clip(light[1], 0, 1)) - 2.0
+    assert np.allclose(planes[:3], np.moveaxis(want, 2, 0), atol=2e-4)
+    for plane, p in ((planes[3], share), (planes[4], both)):
+        twin = np.clip(-np.log10(np.maximum(p, 1e-9)) - 2.0, 0.0, 5.0) - 1.5
+        assert clear.mean() > 0.9  # a colour between two bins may fall into either
+        assert np.allclose(plane[clear], twin[clear], atol=1e-3)
+
+
+def test_no_exposure_is_better():
+    images = forest(np.float32)
+    dark, bright = inputs_of(0.5 * images)(0), inputs_of(images)(0)
+    assert np.allclose(dark[:3], bright[:3], atol=1e-3)
+
+
+def test_surprises_count_decades():
+    counts = np.zeros((10, 40, 40), np.int64)
+    counts[3, 20, 20], counts[3, 30, 30], counts[7, 5, 5] = 899_900, 100, 100_000
+    chroma, colour = surprises(model_from_counts(counts, None, 1.5, 0.0))
+    assert chroma[3, 20, 20] == 0.0
+    assert chroma[3, 30, 30] == pytest.approx(np.log10(9000.0) - 2.0, abs=1e-3)
+    assert chroma[7, 5, 5] == 0.0  # nothing else is so bright
+    assert colour[3, 30, 30] == pytest.approx(2.0, abs=1e-3)
+    assert chroma[0, 0, 0] == colour[0, 0, 0] == 5.0
+
+
+def test_grey_photos_hold_no_fragments():
+    grey = wp.array(forest(np.uint8)[..., 0].copy(), dtype=wp.uint8)
+    with pytest.raises(ValueError, match="colour photos, got grey"):
+        FragmentInput(grey, rarity_model(grey))
+
+
+@pytest.mark.parametrize("size", [(1, 1), (8, 8), (37, 61)])
+def test_photos_of_any_size_are_looked_at(size):
+    planes = np.random.default_rng(0).normal(size=(5, *size)).astype(np.float32)
+    evidence = FragmentNet(provider="cpu").of_planes(planes)
+    assert evidence.shape == size
+    assert ((evidence >= 0.0) & (evidence <= 1.0)).all()
+
+
+def test_photos_far_from_the_trained_sampling_are_resampled():
+    planes = np.zeros((5, 60, 80), np.float32)
+    assert resampled(planes, None) is planes
+    assert resampled(planes, 0.04) is planes
+    assert resampled(planes, 0.02).shape == (5, 30, 40)
+    assert resampled(planes, 0.08).shape == (5, 120, 160)
+    done = []
+    found = FragmentNet(provider="cpu").evidence(
+        inputs_of(forest(np.uint8)), 0.02, lambda *counts: done.append(counts)
+    )
+    assert found.shape == (3, 20, 28)
+    assert found.dtype == np.uint16
+    assert done == [(1, 3), (2, 3), (3, 3)]
+
+
+def test_another_network_is_refused():
+    with pytest.raises(ValueError, match="expected a network of fragments"):
+        FragmentNet(PACKAGED)
+
+
+def test_evidence_adds_up_where_people_lie():
+    flight = with_poses(demo_flight())
+    photos = load_photos(flight, device="cpu")
+    net = FragmentNet(provider="cpu")
+    pieces = fragment_integrator(photos, make_masks(photos, Settings()), net)
+    surface = FocalPlane(photos.flight.ground_down_m or 0.0)
+    view = ground_grid(photos.flight, surface, 0.05)
+    image, rays = (np.asarray(part.numpy()) for part in pieces.integrate(view, surface))
+    smooth = cv2.GaussianBlur(image[..., 0], (0, 0), 4.0)
+    ground = smooth[rays >= 5.0]
+    people = json.loads((flight.source / "truth.json").read_text())["people"]
+    for person in people:
+        x, y = view.project(np.array([[person[f"{way}_m"] for way in ("north", "east", "down")]]))[
+            0
+        ]
+        near = smooth[int(y) - 12 : int(y) + 13, int(x) - 12 : int(x) + 13]
+        # of the one the photos see 2 %
+        most = {"half": 1e-4, "full": 0.01}[person["occlusion"]]
+        assert (ground > near.max()).mean() < most
