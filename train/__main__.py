@@ -1,7 +1,9 @@
-"""Remake the person network: python -m train WORK [--flights 43] [--steps 2400]
+"""Remake the networks for colour: python -m train WORK [--flights 43] [--steps 2400]
 
-Simulates the flights, integrates their maps, trains, chooses the threshold on tuning flights and
-writes WORK/person.onnx and WORK/curve.csv. Every part goes on where it was stopped.
+Simulates the flights, trains the network that looks at single photos, integrates the flights' maps
+with what it sees, trains the one that looks at those, chooses the threshold on tuning flights and
+writes WORK/fragments.onnx, WORK/person.onnx and their curves. Every part goes on where it was
+stopped.
 """
 
 from __future__ import annotations
@@ -9,56 +11,119 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from hsvaos.detect.fragments import FragmentNet
 from hsvaos.kernels.device import quiet_start
-from train.flights import FIRST_TRAINING_SEED, FIRST_TUNING_SEED, make_flight
+from train.flights import FIRST_TRAINING_SEED, FIRST_TUNING_SEED, flight_settings, make_flight
+from train.fragment_crops import make_crops
 from train.maps import CONDITIONS, SEARCH_CONDITIONS, make_maps
 
+FOLDS = 2
+"""Evidence in a training map comes from a network that never saw the flight: by seed, even or odd.
+Else it would be surer there than it ever is in use, and be trusted too much."""
 
-def _prepare(job: tuple[int, Path, Path]) -> str:
-    seed, flights, maps = job
-    began = time.monotonic()
+_LEFT_FOR_LOSS = 2
+"""Flights on which the fragment network's loss is measured."""
+
+
+def _flight(flights: Path, seed: int) -> str:
     quiet_start()
-    flight = make_flight(seed, flights)
-    search = seed >= FIRST_TUNING_SEED
+    return make_flight(seed, flights).name
+
+
+def _crops(flights: Path, crops: Path, seed: int) -> str:
+    quiet_start()
+    flight, target = flights / f"flight_{seed}", crops / f"flight_{seed}.npz"
+    if not target.exists() and not flight_settings(seed).thermal:
+        make_crops(flight, target)
+    return flight.name
+
+
+def _maps(flights: Path, maps: Path, nets: list[Path], seed: int) -> str:
+    quiet_start()
+    flight, search = flights / f"flight_{seed}", seed >= FIRST_TUNING_SEED
     count = SEARCH_CONDITIONS if search else CONDITIONS
     done = [maps / f"{flight.name}_{k}.npz" for k in range(count)]
     if not all(path.exists() for path in done):
-        make_maps(flight, maps, search=search)
-    return f"{flight.name}: {time.monotonic() - began:.0f} s"
+        net = FragmentNet(nets[seed % len(nets)], threads=1)
+        make_maps(flight, maps, search=search, fragments=net)
+    return flight.name
 
 
-def _flights(first: int, count: int, flights: Path, maps: Path, workers: int) -> None:
-    flights.mkdir(parents=True, exist_ok=True)
-    maps.mkdir(parents=True, exist_ok=True)
-    jobs = [(first + k, flights, maps) for k in range(count)]
+def _each(what: str, make: Callable[[int], str], seeds: range, workers: int) -> None:
     with ProcessPoolExecutor(workers) as pool:
-        for number, line in enumerate(pool.map(_prepare, jobs)):
-            print(f"[{number + 1}/{count}] {line}", flush=True)
+        began = time.monotonic()
+        for number, name in enumerate(pool.map(make, seeds)):
+            past = time.monotonic() - began
+            print(f"{what} [{number + 1}/{len(seeds)}] {name}, {past:.0f} s", flush=True)
+
+
+def train_fragments(work: Path, crops: Path, steps: int) -> tuple[Path, list[Path]]:
+    """Train the network of single photos, and one for each half of the flights.
+
+    Args:
+        work: Folder for the networks.
+        crops: Of the crops of all flights.
+        steps: Batches for the first; the others get half as many.
+
+    Returns:
+        The network, and those for maps of flights of even and of odd seeds, which saw the others.
+    """
+    from train.fragment_crops import read_crops
+    from train.fragment_fit import fit_fragments, loss_on
+    from train.fragment_net import export_fragments
+
+    paths = sorted(p for p in crops.glob("flight_*.npz") if ".part." not in p.name)
+    parities = [[p for p in paths if int(p.stem.split("_")[1]) % FOLDS == k] for k in range(FOLDS)]
+    jobs = [("fragments", paths[_LEFT_FOR_LOSS:], paths[:_LEFT_FOR_LOSS], steps)]
+    jobs += [
+        (f"fragments_for_{k}", parities[1 - k], parities[k][:_LEFT_FOR_LOSS], steps // 2)
+        for k in range(FOLDS)
+    ]
+    made = []
+    for name, own, others, count in jobs:
+        target = work / f"{name}.onnx"
+        made.append(target)
+        if target.exists():
+            continue
+        model = fit_fragments(own, others, work / name, steps=count)
+        loss = loss_on(model, [read_crops(path) for path in others])
+        story = {"recipe": "python -m train", "steps": count, "flights": len(own), "loss": loss}
+        export_fragments(model, target, story)
+    return made[0], made[1:]
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m train", description=__doc__)
-    parser.add_argument("work", type=Path, help="folder for everything; some 12 GB")
+    parser.add_argument("work", type=Path, help="folder for everything; some 14 GB")
     parser.add_argument("--flights", type=int, default=43)
     parser.add_argument("--tuning", type=int, default=4)
     parser.add_argument("--steps", type=int, default=2400)
+    parser.add_argument("--fragment-steps", type=int, default=3000)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--start-from", type=Path, help="an exported network to train further")
     parser.add_argument("--rate", type=float, default=2e-3, help="highest learning rate")
     parser.add_argument("--seed", type=int, default=1, help="of first weights and of crops")
     asked = parser.parse_args()
     work = asked.work
-    print("flights and maps for training", flush=True)
-    maps, tuning = work / "maps", work / "tuning_maps"
-    _flights(FIRST_TRAINING_SEED, asked.flights, work / "flights", maps, asked.workers)
-    print("flights and maps for tuning", flush=True)
-    _flights(FIRST_TUNING_SEED, asked.tuning, work / "tuning_flights", tuning, asked.workers)
+    names = ("flights", "tuning_flights", "crops", "maps", "tuning_maps")
+    flights, searches, crops, maps, tuning = (work / name for name in names)
+    for folder in (flights, searches, crops, maps, tuning):
+        folder.mkdir(parents=True, exist_ok=True)
+    seeds = range(FIRST_TRAINING_SEED, FIRST_TRAINING_SEED + asked.flights)
+    tuning_seeds = range(FIRST_TUNING_SEED, FIRST_TUNING_SEED + asked.tuning)
+    _each("flights", partial(_flight, flights), seeds, asked.workers)
+    _each("tuning flights", partial(_flight, searches), tuning_seeds, asked.workers)
+    _each("crops of photos", partial(_crops, flights, crops), seeds, asked.workers)
+    net, halves = train_fragments(work, crops, asked.fragment_steps)
+    _each("maps", partial(_maps, flights, maps, halves), seeds, asked.workers)
+    _each("tuning maps", partial(_maps, searches, tuning, [net]), tuning_seeds, asked.workers)
     return train(work, maps, tuning, asked)
 
 

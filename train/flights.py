@@ -12,17 +12,19 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from hsvaos.camera import Camera
 from hsvaos.simulate.clothes import OUTFITS
 from hsvaos.simulate.forest import ForestSettings
+from hsvaos.simulate.instances import Kind
 from hsvaos.simulate.mission import Mission
 from hsvaos.simulate.photo import CameraEffects
 from hsvaos.simulate.planting import stem_places
 from hsvaos.simulate.record import simulate_flight
 from hsvaos.simulate.settings import SimulationSettings
-from hsvaos.simulate.simulation import Simulation
+from hsvaos.simulate.simulation import Photo, Simulation
 
 FIRST_TRAINING_SEED = 101_000
 FIRST_TUNING_SEED = 900_100
@@ -124,11 +126,38 @@ def _places(rng: np.random.Generator, half: np.ndarray) -> tuple[tuple[float, fl
     return tuple((float(n), float(e)) for n, e in chosen)
 
 
+class Labelled(Simulation):
+    """A simulation that writes down which pixels of each photo show a person.
+
+    Attributes:
+        labels: Folder of the labels, see `labels_of`.
+    """
+
+    labels: Path
+
+    def photo(self, index: int) -> Photo:
+        """Take a photo and write its label."""
+        photo = super().photo(index)
+        shown = np.where(photo.kind == int(Kind.PERSON), np.uint8(255), np.uint8(0))
+        name = Path(self.names()[index]).stem
+        cv2.imwrite(str(self.labels / f"{name}.png"), shown)
+        return photo
+
+
+def labels_of(flight: Path) -> Path:
+    """Return the folder of a training flight's labels: a PNG a photo, 255 where a person is.
+
+    Args:
+        flight: The flight's folder.
+    """
+    return flight.parent / f"labels_{flight.name}"
+
+
 def make_flight(seed: int, folder: Path) -> Path:
     """Simulate the flight of a seed below a folder, if it is not there yet.
 
     Args:
-        seed: Of the flight.
+        seed: Of the flight; those for training get labels too.
         folder: Of all training flights.
     """
     target = folder / f"flight_{seed}"
@@ -137,6 +166,8 @@ def make_flight(seed: int, folder: Path) -> Path:
             simulate_flight(search_settings(seed), target)
         else:
             settings = flight_settings(seed)
-            simulation = Simulation(settings, measure=False)  # its places are given
+            simulation = Labelled(settings, measure=False)  # its places are given
+            simulation.labels = labels_of(target)
+            simulation.labels.mkdir(exist_ok=True)
             simulate_flight(settings, target, simulation=simulation)
     return target

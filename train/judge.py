@@ -10,9 +10,10 @@ import numpy as np
 import torch
 from torch import nn
 
+from hsvaos.detect.few_rays import doubted
 from hsvaos.detect.network_input import AIM_GSD_M, TRAINED_GSD_M, network_input
 from hsvaos.evaluate.detection import Matches, match_boxes
-from train.maps import COHERENCE, COHERENT, PLANES, RARITY_MAP, RAYS
+from train.maps import COHERENCE, COHERENT, FRAGMENTS, PLANES, RARITY_MAP, RAYS
 from train.net import MULTIPLE, Exported, PersonNet
 from train.samples import LEAST_RAYS_SEEN, at_sampling
 
@@ -30,7 +31,7 @@ def finds(net: nn.Module, whole: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     Args:
         net: The network as exported.
-        whole: Shape (14, H, W), from `network_input`.
+        whole: Shape (15, H, W), from `network_input`.
     """
     height, width = (-(-side // MULTIPLE) * MULTIPLE for side in whole.shape[1:])
     padded = np.zeros((1, len(whole), height, width), dtype=np.float32)
@@ -107,6 +108,7 @@ def matched(net: PersonNet, paths: list[Path], ious: tuple[float, ...]) -> dict[
         with np.load(path) as data:
             layers = data["layers"].astype(np.float32)
             truth, rays, gsd = data["boxes"], data["rays"], float(data["gsd"])
+            pieces = bool(data["fragments"])
         if not TRAINED_GSD_M[0] <= gsd <= TRAINED_GSD_M[1]:  # as the detector does
             layers, truth = at_sampling(layers, truth, gsd, AIM_GSD_M)
         whole = network_input(
@@ -115,8 +117,10 @@ def matched(net: PersonNet, paths: list[Path], ious: tuple[float, ...]) -> dict[
             layers[RARITY_MAP],
             np.moveaxis(layers[PLANES["plain"]], 0, 2),
             (np.moveaxis(layers[COHERENT], 0, 2), layers[COHERENCE]),
+            layers[FRAGMENTS] if pieces else None,
         )
         boxes, scores = finds(exported, whole)
+        scores = doubted(boxes + 0.5, scores, layers[RAYS])  # as the detector does
         corner = np.array([whole.shape[2] - 1, whole.shape[1] - 1])
         middle = np.clip(np.rint(0.5 * (boxes[:, :2] + boxes[:, 2:])), 0, corner).astype(int)
         seen = layers[RAYS][middle[:, 1], middle[:, 0]] >= LEAST_RAYS_SEEN

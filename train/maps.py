@@ -17,22 +17,29 @@ from numpy.typing import NDArray
 
 import hsvaos
 from hsvaos.camera import VirtualCamera
+from hsvaos.detect.fragments import FragmentNet
 from hsvaos.kernels.hue_mask import measure_hue
 from hsvaos.kernels.integrate import Integrator
 from hsvaos.kernels.rarity import apply_rarity, rarity_model
-from hsvaos.masking import Masks, cut_hues, make_masks
+from hsvaos.masking import cut_hues, make_masks
 from hsvaos.photos import Photos, load_photos
-from hsvaos.rendering import Integrators, hue_integrator, make_integrators
+from hsvaos.rarity_model import RarityModel
+from hsvaos.rendering import (
+    Integrators,
+    fragment_integrator,
+    hue_integrator,
+    make_integrators,
+)
 from hsvaos.settings import Settings
 from hsvaos.surface import FocalPlane
 
 PLANES = {"plain": slice(0, 3), "rarity": slice(3, 6), "hue": slice(6, 9)}
 """Where the three integral images lie in a map; then come rarity map, rays and hue footprint, the
-colours of the rays that agree, and their coherence."""
+colours of the rays that agree, their coherence, and the evidence of fragments."""
 
 RARITY_MAP, RAYS, HUE_FOOTPRINT = 9, 10, 11
-COHERENT, COHERENCE = slice(12, 15), 15
-LAYERS = 16
+COHERENT, COHERENCE, FRAGMENTS = slice(12, 15), 15, 16
+LAYERS = 17
 
 CONDITIONS = 4
 """Maps of each training flight."""
@@ -121,22 +128,23 @@ def disturbed(
     return changed
 
 
-def make_maps(folder: Path, target: Path, *, search: bool = False) -> None:
+def make_maps(
+    folder: Path, target: Path, *, search: bool = False, fragments: FragmentNet | None = None
+) -> None:
     """Integrate a flight in all conditions and write one .npz a condition.
 
     Args:
         folder: The flight.
         target: Where the maps go: `NAME_0.npz`, ...
         search: Whether the flight is a search: fewer conditions, and rarity as it is.
+        fragments: Looks for pieces of people in the photos; None leaves that layer unknown.
     """
     flight = hsvaos.open_flight(folder)
-    truth = json.loads((folder / "truth.json").read_text())
-    seed = int(truth["settings"]["forest"]["seed"])
-    rng = np.random.default_rng([seed, 302])
+    truth, rng = flight_truth(folder)
     photos = load_photos(flight, 1.0, "cpu", None)
-    people = [np.array(person["outline_ned_m"]) for person in truth["people"]]
-    left_out = [] if search else [p for p in people if rng.uniform() < _LEFT_OUT]
-    ours, papers = _integrators(photos, left_out)
+    people = outlines(truth)
+    left_out = [] if search else left_out_of(truth, rng)
+    ours, papers = _integrators(photos, left_out, fragments)
     reach = np.abs(flight.poses[:, :2, 3]).max(axis=0) + _BORDER_M
     gsd = float(np.median(-flight.poses[:, 2, 3])) / flight.camera.fx
     width, height = (int(2.0 * side / gsd) for side in reach[::-1])
@@ -156,13 +164,20 @@ def make_maps(folder: Path, target: Path, *, search: bool = False) -> None:
         part = path.with_suffix(".part.npz")
         np.savez(
             part,
-            layers=layers.astype(np.float16),
+            layers=_as_halves(layers),
             boxes=boxes,
             rays=shares[chosen].sum(axis=0),
             gsd=gsd,
             colour=photos.is_colour,
+            fragments=ours.fragments is not None,
         )
         part.replace(path)
+
+
+def _as_halves(layers: NDArray[np.float32]) -> NDArray[np.float16]:
+    """Return layers as float16; evidence runs to 65535 and is brought to 0..255."""
+    layers[FRAGMENTS] *= np.float32(255.0 / 65535.0)
+    return layers.astype(np.float16)
 
 
 def _box(view: VirtualCamera, outline: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -170,16 +185,50 @@ def _box(view: VirtualCamera, outline: NDArray[np.float64]) -> NDArray[np.float6
     return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
 
 
+def flight_truth(folder: Path) -> tuple[dict[str, Any], np.random.Generator]:
+    """Return the truth of a flight, and what draws everything of its maps.
+
+    Args:
+        folder: The flight.
+    """
+    truth = json.loads((folder / "truth.json").read_text())
+    return truth, np.random.default_rng([int(truth["settings"]["forest"]["seed"]), 302])
+
+
+def outlines(truth: dict[str, Any]) -> list[NDArray[np.float64]]:
+    """Return the outline of everyone, shape (K, 3), NED [m].
+
+    Args:
+        truth: Of a flight.
+    """
+    return [np.array(person["outline_ned_m"]) for person in truth["people"]]
+
+
+def left_out_of(truth: dict[str, Any], rng: np.random.Generator) -> list[NDArray[np.float64]]:
+    """Return the outlines of those whose colours are not counted as colours of the flight.
+
+    Args:
+        truth: Of the flight.
+        rng: Fresh from `flight_truth`.
+    """
+    return [outline for outline in outlines(truth) if rng.uniform() < _LEFT_OUT]
+
+
 def _integrators(
-    photos: Photos, left_out: list[NDArray[np.float64]]
+    photos: Photos, left_out: list[NDArray[np.float64]], fragments: FragmentNet | None
 ) -> tuple[Integrators, Integrators]:
     """Return integrators with our hue cut and with the paper's, the same else."""
     masks = make_masks(photos, Settings())
     if left_out:
-        masks = replace(masks, rarity=_rarity_without(photos, masks, left_out))
+        model = rarity_without(photos, left_out, masks.gains)
+        rarity = apply_rarity(photos.images, model, dtype="float32", gains=masks.gains)
+        masks = replace(masks, rarity=rarity, rarity_model=model)
     ours = make_integrators(photos, masks, "rarity")
     if not photos.is_colour:
         return ours, ours
+    if fragments is not None:
+        pieces = fragment_integrator(photos, masks, fragments)
+        ours = replace(ours, fragments=pieces)
     mask, gains = Settings().with_values(mask={"statistics": "linear"}).mask, masks.gains
     how = (mask.sigmas, mask.statistics, mask.scope)
     stats, _ = measure_hue(photos.images, *how, valid=photos.valid, gains=gains)
@@ -187,11 +236,18 @@ def _integrators(
     return ours, replace(ours, hue=hue_integrator(photos, *cut, gains))
 
 
-def _rarity_without(photos: Photos, masks: Masks, left_out: list[NDArray[np.float64]]) -> Any:
-    """Return rarity weights by a histogram that some people's outlines are kept out of.
+def rarity_without(
+    photos: Photos, left_out: list[NDArray[np.float64]], gains: NDArray[np.float64] | None
+) -> RarityModel:
+    """Return the histogram of a flight that some people's outlines are kept out of.
 
     Training flights are short and crowded: counted whole, clothes would be as common as flowers. In
     a search there are few people on much more ground.
+
+    Args:
+        photos: The photos.
+        left_out: The outlines.
+        gains: Factors that level the photos.
     """
     flight = photos.flight
     valid = np.full((len(flight.poses), *photos.images.shape[1:3]), 255, dtype=np.uint8)
@@ -201,15 +257,14 @@ def _rarity_without(photos: Photos, masks: Masks, left_out: list[NDArray[np.floa
             if np.isfinite(pixels).all():
                 cv2.fillConvexPoly(mask, np.rint(pixels).astype(np.int32), 0)
     rule = Settings().mask
-    model = rarity_model(
+    return rarity_model(
         photos.images,
         threshold=rule.rarity_threshold if photos.is_colour else rule.grey_rarity_threshold,
         exponent=rule.rarity_exponent,
         smoothing_bins=rule.rarity_smoothing_bins,
         valid=valid,
-        gains=masks.gains,
+        gains=gains,
     )
-    return apply_rarity(photos.images, model, dtype="float32", gains=masks.gains)
 
 
 def _layers(
@@ -234,4 +289,6 @@ def _layers(
     coherent, coherence = by.rarity.at_poses(poses).coherence(view, plane, frames=chosen)
     layers[COHERENT] = np.moveaxis(coherent.numpy(), 2, 0)
     layers[COHERENCE] = coherence.numpy()
+    if by.fragments is not None:
+        layers[FRAGMENTS] = integral(by.fragments)[0][..., 0]
     return layers

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hsvaos.detect.network_input import AIM_GSD_M, CHANNELS, TRAINED_GSD_M, network_input
 from train.drawn import draw_figures, smooth_ground
-from train.maps import COHERENCE, COHERENT, HUE_FOOTPRINT, PLANES, RARITY_MAP, RAYS
+from train.maps import COHERENCE, COHERENT, FRAGMENTS, HUE_FOOTPRINT, PLANES, RARITY_MAP, RAYS
 
 CROP_PX = 256
 LEAST_RAYS = 1.5
@@ -31,7 +31,7 @@ class Sample:
     """One crop.
 
     Args:
-        whole: Shape (14, 256, 256), float32, the network's input.
+        whole: Shape (15, 256, 256), float32, the network's input.
         boxes: Shape (K, 4), xyxy [px], people to find.
         ignored: Shape (M, 4), people who cannot be seen.
     """
@@ -52,10 +52,10 @@ def visit(path: Path, rng: np.random.Generator, crops: int) -> list[Sample]:
     with np.load(path) as data:
         layers = data["layers"].astype(np.float32)
         boxes, rays, gsd = data["boxes"], data["rays"], float(data["gsd"])
-        colour = bool(data["colour"])
+        colour, pieces = bool(data["colour"]), bool(data["fragments"])
     layers, boxes, gsd = _scaled(layers, boxes, gsd, rng)
     layers, boxes = _turned(layers, boxes, rng)
-    whole, drawn, blurred = _look(layers, boxes, gsd, colour, rng)
+    whole, drawn, blurred = _look(layers, boxes, gsd, colour, pieces, rng)
     boxes = np.concatenate([boxes, drawn])
     rays = np.concatenate([np.zeros_like(rays) if blurred else rays, np.full(len(drawn), np.inf)])
     height, width = whole.shape[1:]
@@ -133,6 +133,7 @@ def _look(
     boxes: NDArray[np.float64],
     gsd: float,
     colour: bool,
+    pieces: bool,
     rng: np.random.Generator,
 ) -> tuple[NDArray[np.float32], NDArray[np.float64], bool]:
     """Return the input for what a user may have, people drawn in, and whether others blurred.
@@ -146,15 +147,17 @@ def _look(
     rays = layers[RAYS]
     if kind == "hue" and rng.uniform() < 0.3:
         rays = layers[HUE_FOOTPRINT]
-    known = rng.uniform(size=4) < [0.9, 0.9, 0.85, 0.6]
+    known = rng.uniform(size=5) < [0.9, 0.9, 0.85, 0.6, 0.5]
     if kind == "rarity" and rng.uniform() < 0.85:
         known[:] = True  # as `hsvaos run` gives it
+        known[4] = rng.uniform() < 0.85  # unless it is told to hurry
     whole = network_input(
         image,
         rays if known[0] else None,
         layers[RARITY_MAP] if known[1] else None,
         _image(layers, "plain") if known[2] else None,
         (np.moveaxis(layers[COHERENT], 0, 2), layers[COHERENCE]) if known[3] else None,
+        layers[FRAGMENTS] if pieces and known[4] else None,
     )
     return _jittered(whole, rng), np.zeros((0, 4)), False
 

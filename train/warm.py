@@ -21,9 +21,11 @@ from train.net import PersonNet
 def unfolded(path: Path, batches: Iterable[Tensor]) -> PersonNet:
     """Return the network of an exported file, ready to be trained further.
 
+    A file of fewer channels than today's is taken too: at first it does not see the new ones.
+
     Args:
         path: Written by `train.export`.
-        batches: Inputs (B, 14, H, W) on which the layers' means and deviations are measured.
+        batches: Inputs (B, 15, H, W) on which the layers' means and deviations are measured.
 
     Raises:
         ValueError: If the file holds another network.
@@ -31,6 +33,7 @@ def unfolded(path: Path, batches: Iterable[Tensor]) -> PersonNet:
     net = PersonNet().eval()
     layers = _layers(net)
     stored = _stored(path)
+    stored[0] = _widened(stored[0][0], net.channels), stored[0][1]
     shapes = [tuple(conv.weight.shape) for conv, _ in layers]
     if [tuple(weight.shape) for weight, _ in stored] != shapes:
         raise ValueError(f"{path}: expected the convolutions {shapes} of train.net")
@@ -52,6 +55,12 @@ def unfolded(path: Path, batches: Iterable[Tensor]) -> PersonNet:
             if norm is not None:
                 _normalise(norm, *moments[conv], factor, bias)
     return net
+
+
+def _widened(weight: Tensor, channels: int) -> Tensor:
+    """Return the first layer's filters with zeros for channels that came later."""
+    missing = max(0, channels - weight.shape[1])
+    return torch.nn.functional.pad(weight, (0, 0, 0, 0, 0, missing))
 
 
 def _normalise(

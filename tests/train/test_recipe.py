@@ -18,6 +18,7 @@ from train.maps import (  # noqa: E402
     COHERENCE,
     COHERENT,
     CONDITIONS,
+    FRAGMENTS,
     HUE_FOOTPRINT,
     LAYERS,
     PLANES,
@@ -35,7 +36,7 @@ from train.warm import unfolded  # noqa: E402
 def drawn_map(path, people=6, seed=0, side=420):
     rng = np.random.default_rng(seed)
     layers = rng.normal(90.0, 6.0, (LAYERS, side, side)).astype(np.float32)
-    for one in (RARITY_MAP, COHERENCE):
+    for one in (RARITY_MAP, COHERENCE, FRAGMENTS):
         layers[one] = np.abs(rng.normal(0.02, 0.005, (side, side)))
     layers[RAYS] = 30.0
     layers[HUE_FOOTPRINT] = 5.0
@@ -44,11 +45,12 @@ def drawn_map(path, people=6, seed=0, side=420):
     for x0, y0, x1, y1 in boxes.astype(int):
         for one in (*PLANES.values(), COHERENT):
             layers[one, y0:y1, x0:x1] += 40.0
-        for one in (RARITY_MAP, COHERENCE):
+        for one in (RARITY_MAP, COHERENCE, FRAGMENTS):
             layers[one, y0:y1, x0:x1] += 0.2
     rays = np.full(people, 5.0)
     rays[0] = 0.1
-    np.savez(path, layers=layers.astype(np.float16), boxes=boxes, rays=rays, gsd=0.05, colour=True)
+    known = {"boxes": boxes, "rays": rays, "gsd": 0.05, "colour": True, "fragments": True}
+    np.savez(path, layers=layers.astype(np.float16), **known)
     return path
 
 
@@ -179,8 +181,21 @@ def test_a_stopped_run_goes_on_from_its_own_weights_only(tmp_path):
         fit(crops, tmp_path / "out", steps=2, start_from=tmp_path / "person.onnx")
 
 
+def test_an_older_network_comes_back_blind_to_newer_channels(tmp_path):
+    torch.manual_seed(4)
+    older = PersonNet(channels=len(CHANNELS) - 1).eval()
+    export(older, tmp_path / "older.onnx", 0.5, {}, CHANNELS[:-1])
+    batch = collate(visit(drawn_map(tmp_path / "flight_1_0.npz"), np.random.default_rng(2), 3))[0]
+    back = unfolded(tmp_path / "older.onnx", [batch]).eval()
+    with torch.no_grad():
+        want, have = older(batch[:, :-1]), back(batch)
+    for ours, theirs in zip(have, want, strict=True):
+        assert np.allclose(ours, theirs, rtol=1e-3, atol=1e-3)
+
+
 def test_a_file_of_another_network_is_not_brought_back(tmp_path):
-    export(PersonNet(channels=8), tmp_path / "other.onnx", 0.5, {}, CHANNELS[:8])
+    other = PersonNet(widths=(16, 32, 56, 72, 48))
+    export(other, tmp_path / "other.onnx", 0.5, {})
     with pytest.raises(ValueError, match="expected the convolutions"):
         unfolded(tmp_path / "other.onnx", [])
 
