@@ -13,12 +13,12 @@ from bench.harness import SMOKE, Contenders, size
 from hsvaos import Detector
 from hsvaos.benchmark.scenes import photos
 from hsvaos.detect.anomaly import find_persons
-from hsvaos.detect.fragment_input import FragmentInput
 from hsvaos.detect.fragments import FragmentNet
 from hsvaos.detect.layouts import own_channels
 from hsvaos.detect.network import Network
 from hsvaos.detect.network_input import CHANNELS, network_input
 from hsvaos.detect.yolo import PACKAGED
+from hsvaos.fragment_input import FragmentInput
 from hsvaos.kernels.rarity import rarity_model
 from hsvaos.settings import DetectSettings
 

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from hsvaos.camera import VirtualCamera
 from hsvaos.detect.detections import Detections
-from hsvaos.detect.fragment_input import FragmentInput
 from hsvaos.detect.fragments import FragmentNet
 from hsvaos.detect.locate import ViewFinds, box_places, pose_spread
 from hsvaos.finding import Finder
 from hsvaos.flight import Flight, FlightError
+from hsvaos.fragment_input import FragmentInput
 from hsvaos.ground_map import GroundMap, Layer, grid_for, integrate_ground
 from hsvaos.kernels.integrate import Integrator
 from hsvaos.kernels.packing import Packed

@@ -32,8 +32,10 @@ ALLOWED = {
     "focusing": BASE | {"photos", "kernels", "viewing"},
     "ground_map": BASE | {"viewing"},
     "finding": BASE | {"detect"},
+    "fragment_input": BASE | {"kernels", "detect", "rarity_model"},
     "rendering": BASE
-    | {"photos", "masking", "kernels", "detect", "result", "finding", "ground_map"},
+    | {"photos", "masking", "kernels", "detect", "result", "finding", "ground_map"}
+    | {"fragment_input"},
     "pipeline": BASE
     | {"photos", "masking", "kernels", "detect", "result", "rendering", "focusing", "viewing"}
     | {"finding"},

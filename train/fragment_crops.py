@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import hsvaos
-from hsvaos.detect.fragment_input import FRAGMENT_CHANNELS, FragmentInput
+from hsvaos.detect.fragments import FRAGMENT_CHANNELS
+from hsvaos.fragment_input import FragmentInput
 from hsvaos.masking import levelled
 from hsvaos.photos import load_photos
 from hsvaos.settings import Settings

@@ -8,7 +8,7 @@ from pathlib import Path
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from hsvaos.detect.fragment_input import FRAGMENT_CHANNELS
+from hsvaos.detect.fragments import FRAGMENT_CHANNELS
 from train.export import as_onnx
 from train.net import conv
 

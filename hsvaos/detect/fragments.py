@@ -11,13 +11,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hsvaos.detect.fragment_input import FRAGMENT_CHANNELS, FragmentInput
 from hsvaos.detect.network import Network
+
+FRAGMENT_CHANNELS = ("red", "green", "blue", "chroma surprise", "colour surprise")
+"""Channels of the network's input, in order."""
 
 PACKAGED_FRAGMENTS = Path(__file__).with_name("fragments.onnx")
 """Our own weights."""
@@ -31,6 +34,16 @@ _GSD_M = (0.03, 0.055)
 _AIM_GSD_M = 0.04
 
 _FULL = 65535.0
+
+
+class PhotoInputs(Protocol):
+    """The inputs of a flight's photos, as `hsvaos.fragment_input.FragmentInput` makes them."""
+
+    def __len__(self) -> int: ...
+
+    def __call__(self, index: int) -> NDArray[np.float32]:
+        """Return the input of a photo, shape (5, H, W), float32."""
+        ...
 
 
 class FragmentNet:
@@ -61,7 +74,7 @@ class FragmentNet:
 
     def evidence(
         self,
-        photos: FragmentInput,
+        photos: PhotoInputs,
         gsd_m: float | None = None,
         progress: Callable[[int, int], None] | None = None,
     ) -> NDArray[np.uint16]:
@@ -77,22 +90,21 @@ class FragmentNet:
         Returns:
             Shape (N, h, w), uint16, 65535 = 1: log(1 + 7.4 odds) / 10 of a piece of a person.
         """
-        found: NDArray[np.uint16] | None = None
+        found = np.zeros((len(photos), 0, 0), dtype=np.uint16)
         for index in range(len(photos)):
             planes = resampled(photos(index), gsd_m)
-            if found is None:
+            if index == 0:
                 found = np.empty((len(photos), *planes.shape[1:]), dtype=np.uint16)
             found[index] = np.rint(self.of_planes(planes) * np.float32(_FULL))
             if progress is not None:
                 progress(index + 1, len(photos))
-        assert found is not None, "a flight has photos"
         return found
 
     def of_planes(self, planes: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the evidence of one photo, shape (H, W), 0 to 1.
 
         Args:
-            planes: Shape (5, H, W), from `FragmentInput`.
+            planes: Shape (5, H, W), from `fragment_input.FragmentInput`.
         """
         height, width = planes.shape[1:]
         beyond = (0, 0), (0, -height % _MULTIPLE), (0, -width % _MULTIPLE)

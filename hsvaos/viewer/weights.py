@@ -248,8 +248,9 @@ def _key(kind: str, mask: MaskSettings) -> Any:
 
 
 def _weigh(kind: str, photos: Photos, mask: MaskSettings, gains: NDArray[np.float64] | None) -> Any:
-    make = weigh_rarity if kind == "rarity" else find_anomalies
-    return make(photos, mask, gains)
+    if kind == "rarity":
+        return weigh_rarity(photos, mask, gains)[0]
+    return find_anomalies(photos, mask, gains)
 
 
 def _integrator(

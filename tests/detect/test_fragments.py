@@ -9,9 +9,9 @@ import warp as wp
 
 from hsvaos import reference
 from hsvaos.demo import demo_flight
-from hsvaos.detect.fragment_input import FRAGMENT_CHANNELS, FragmentInput, surprises
-from hsvaos.detect.fragments import FragmentNet, resampled
+from hsvaos.detect.fragments import FRAGMENT_CHANNELS, FragmentNet, resampled
 from hsvaos.detect.yolo import PACKAGED
+from hsvaos.fragment_input import FragmentInput, surprises
 from hsvaos.kernels.rarity import rarity_model
 from hsvaos.masking import make_masks
 from hsvaos.photos import load_photos, with_poses

@@ -9,8 +9,11 @@ pytest.importorskip("onnx", reason="needs pip install 'hsvaos[train]'")
 
 import hsvaos  # noqa: E402
 from hsvaos.camera import Camera  # noqa: E402
-from hsvaos.detect.fragment_input import FRAGMENT_CHANNELS, FragmentInput  # noqa: E402
-from hsvaos.detect.fragments import FragmentNet  # noqa: E402
+from hsvaos.detect.fragments import (
+    FRAGMENT_CHANNELS,
+    FragmentNet,
+)
+from hsvaos.fragment_input import FragmentInput  # noqa: E402
 from hsvaos.masking import levelled  # noqa: E402
 from hsvaos.photos import load_photos  # noqa: E402
 from hsvaos.settings import Settings  # noqa: E402

@@ -9,11 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from hsvaos.detect.fragments import FRAGMENT_CHANNELS
 from hsvaos.kernels.rarity import apply_rarity
 from hsvaos.rarity_model import RarityModel
-
-FRAGMENT_CHANNELS = ("red", "green", "blue", "chroma surprise", "colour surprise")
-"""Channels of the network's input, in order."""
 
 MEDIAN = 0.25
 """Brightness that the median pixel of the flight is brought to: no exposure is better."""
