@@ -9,10 +9,7 @@ pytest.importorskip("onnx", reason="needs pip install 'hsvaos[train]'")
 
 import hsvaos  # noqa: E402
 from hsvaos.camera import Camera  # noqa: E402
-from hsvaos.detect.fragments import (
-    FRAGMENT_CHANNELS,
-    FragmentNet,
-)
+from hsvaos.detect.fragments import FRAGMENT_CHANNELS, FragmentNet  # noqa: E402
 from hsvaos.fragment_input import FragmentInput  # noqa: E402
 from hsvaos.masking import levelled  # noqa: E402
 from hsvaos.photos import load_photos  # noqa: E402
