@@ -1,1 +1,1 @@
-"""The recipe of `hsvaos/detect/person.onnx`: simulate, integrate, train, export (extra `train`)."""
+"""The recipe of the networks in `hsvaos/detect`: simulate, integrate, train, export (extra `train`)."""
