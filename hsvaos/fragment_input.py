@@ -37,7 +37,7 @@ class FragmentInput:
     given lightness, and of both together; 100 times rarer than certain is -1.5.
 
     Args:
-        images: Warp array, shape (N, H, W) of RGB or (N, H, W, 3); uint8, uint16 or float32 (0..1).
+        images: Warp array, shape (N, H, W, 3), RGB; uint8, uint16 or float32 (0..1).
         model: Colour histogram of these images.
         gains: Shape (N, 3), factors that level the images, as when the histogram was made.
 

@@ -1,1 +1,1 @@
-"""The recipe of the networks in `hsvaos/detect`: simulate, integrate, train, export (extra `train`)."""
+"""The recipe of the networks of `hsvaos/detect`: simulate, train, export (extra `train`)."""
