@@ -27,6 +27,11 @@ class Finder:
     least_score: float
     find: Callable[[Mapping[str, Any], float], Detections]
 
+    @property
+    def looks_at_photos(self) -> bool:
+        """Whether every colour photo is to be looked at for pieces of people."""
+        return "fragments" in self.layers
+
     def __call__(self, layers: Mapping[str, Any], gsd_m: float) -> Detections:
         """Return the finds of a view.
 

@@ -71,7 +71,7 @@ def run(
     clock("focus")
     views, shown = choose_views(photos.flight, settings.view, surface)
     finder = make_finder(settings.detect, len(photos.flight))
-    if finder is not None and "fragments" in finder.layers and photos.is_colour:
+    if finder is not None and finder.looks_at_photos and photos.is_colour:
         by = _with_fragments(by, photos, masks, surface, progress)
         clock("look at photos")
     spreads = photos.flight.pose_covariances

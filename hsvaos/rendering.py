@@ -216,7 +216,16 @@ def fragment_integrator(
             progress("looking for pieces of people", done, count)
 
     inputs = FragmentInput(photos.images, masks.rarity_model, masks.gains)
-    evidence = net.evidence(inputs, gsd_m, report)
+    return evidence_integrator(photos, net.evidence(inputs, gsd_m, report))
+
+
+def evidence_integrator(photos: Photos, evidence: NDArray[np.uint16]) -> Integrator:
+    """Return the integrator of what a network said of every photo.
+
+    Args:
+        photos: The photos.
+        evidence: Shape (N, h, w), uint16, of the photos' size or resampled from it.
+    """
     height, width = evidence.shape[1:]
     camera, valid = photos.flight.camera, photos.valid
     if (width, height) != (camera.width, camera.height):

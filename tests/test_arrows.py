@@ -48,7 +48,7 @@ ALLOWED = {
     "report": BASE | {"detect", "result", "sweeping"},
     "viewer": BASE
     | {"photos", "masking", "kernels", "result", "rendering", "focusing", "viewing", "report"}
-    | {"nav", "finding", "cli_options", "live"},
+    | {"nav", "finding", "cli_options", "live", "detect", "fragment_input", "rarity_model"},
     "evaluate": BASE
     | {
         "detect",

@@ -92,13 +92,25 @@ class FragmentNet:
         """
         found = np.zeros((len(photos), 0, 0), dtype=np.uint16)
         for index in range(len(photos)):
-            planes = resampled(photos(index), gsd_m)
+            one = self.of_photo(photos(index), gsd_m)
             if index == 0:
-                found = np.empty((len(photos), *planes.shape[1:]), dtype=np.uint16)
-            found[index] = np.rint(self.of_planes(planes) * np.float32(_FULL))
+                found = np.empty((len(photos), *one.shape), dtype=np.uint16)
+            found[index] = one
             if progress is not None:
                 progress(index + 1, len(photos))
         return found
+
+    def of_photo(
+        self, planes: NDArray[np.float32], gsd_m: float | None = None
+    ) -> NDArray[np.uint16]:
+        """Return the evidence of one photo, shape (h, w), uint16; see `evidence`.
+
+        Args:
+            planes: Shape (5, H, W), from `fragment_input.FragmentInput`.
+            gsd_m: Ground sampling distance of the photo [m/px], or None.
+        """
+        found = self.of_planes(resampled(planes, gsd_m)) * np.float32(_FULL)
+        return np.asarray(np.rint(found), dtype=np.uint16)
 
     def of_planes(self, planes: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the evidence of one photo, shape (H, W), 0 to 1.

@@ -176,7 +176,7 @@ class Actions:
         """Look for finds and show them."""
         if request is None:
             return
-        finds = self.tab.session.finds(request, wanted)
+        finds = self.tab.session.finds(request, wanted, self._tell_progress)
         text = self._finds_text(finds)
 
         def put() -> None:
@@ -185,6 +185,12 @@ class Actions:
 
         if wanted():
             self.tab.tell(put)
+
+    def _tell_progress(self, stage: str, done: int, count: int) -> None:
+        def put() -> None:
+            self.tab.controls.finds.content = f"{stage.capitalize()}: {done} of {count} photos."
+
+        self.tab.tell(put)
 
     def _finds_text(self, finds: tuple[Find, ...]) -> str:
         session = self.tab.session

@@ -26,6 +26,7 @@ from hsvaos.viewer.pace import Quality
 from hsvaos.viewer.render import Picture, integral, render
 from hsvaos.viewer.request import Focus, Request, window
 from hsvaos.viewer.weights import Abandoned, Wanted, WeightCache
+from hsvaos.viewing import photo_sampling
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +83,7 @@ class Session:
         else:
             tilt = self.settings.focus
             self.start = Focus(float(surface.point[2]), tilt.pitch_deg, tilt.roll_deg)
+        self._gsd_m = photo_sampling(self.flight, surface)
         self.no_parallax = without_parallax(self.flight, surface)
         still = () if self.no_parallax is None else (self.no_parallax,)
         self.notes = (*notes, *photos.notes, *focus_notes, *still)
@@ -210,12 +212,18 @@ class Session:
         mean = np.clip(image[seen].mean(axis=0) * gains / white, 0.0, 1.0)
         return "#" + bytes(np.rint(255.0 * mean).astype(np.uint8)).hex()
 
-    def finds(self, request: Request, wanted: Wanted = lambda: True) -> tuple[Find, ...]:
+    def finds(
+        self,
+        request: Request,
+        wanted: Wanted = lambda: True,
+        progress: Progress | None = None,
+    ) -> tuple[Find, ...]:
         """Return what `hsvaos run` finds from the nearest photo's view on this focal surface.
 
         Args:
             request: View, focal surface and mask; its aperture does not count here.
             wanted: Asked between steps.
+            progress: Told how many photos were looked into, which takes seconds the first time.
 
         Raises:
             Abandoned: If it is no longer wanted.
@@ -236,7 +244,11 @@ class Session:
             name = self.flight.frames[index].name
             if self._finder is None:
                 self._finder = make_finder(settings.detect, len(self.flight))
-            renderer = Renderer(by, settings, surface, self._finder)
+            finder = self._finder
+            if finder is not None and finder.looks_at_photos and self.photos.is_colour:
+                pieces = self.weights.fragments(request.mask, self._gsd_m, wanted, progress)
+                by = replace(by, fragments=pieces)
+            renderer = Renderer(by, settings, surface, finder)
             result, places = renderer.render(name, self.flight.view(index))
             found = _on_surface(result, places.places, surface)
             self._finds = (key, found)

@@ -12,6 +12,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from hsvaos.detect.fragments import FragmentNet
+from hsvaos.fragment_input import FragmentInput
 from hsvaos.hue_statistics import HueStatistics, hue_statistics
 from hsvaos.kernels.hue_mask import hue_histograms
 from hsvaos.kernels.integrate import Integrator
@@ -22,8 +24,9 @@ from hsvaos.masking import (
     levelled,
     weigh_rarity,
 )
-from hsvaos.photos import Photos
-from hsvaos.rendering import Integrators, hue_integrator
+from hsvaos.photos import Photos, Progress
+from hsvaos.rarity_model import RarityModel
+from hsvaos.rendering import Integrators, evidence_integrator, hue_integrator
 from hsvaos.settings import MaskSettings, Settings
 
 KINDS = ("plain", "hue", "rarity", "rarity_map", "anomaly", "anomaly_map")
@@ -85,7 +88,10 @@ class WeightCache:
         self._whole: dict[str, OrderedDict[Any, Integrator]] = {k: OrderedDict() for k in KINDS}
         self._part: dict[str, tuple[Any, Integrator]] = {}
         self._small: tuple[tuple[int, ...], Photos] | None = None
-        self._layers: dict[str, tuple[Any, Any]] = {}
+        self._layers: dict[str, tuple[Any, tuple[Any, Any]]] = {}
+        self._looking = threading.Lock()
+        self._evidence: tuple[Any, list[NDArray[np.uint16]]] | None = None
+        self._fragments: tuple[Any, Integrator] | None = None
         pixels = int(np.prod(photos.images.shape[:3]))
         self._kept = max(1, min(_MOST_KEPT, _CACHE_BYTES // (_BYTES_A_PIXEL * pixels)))
 
@@ -184,7 +190,7 @@ class WeightCache:
             return self._part[kind][1]
 
     def integrators(self, mask: MaskSettings, wanted: Wanted = lambda: True) -> Integrators:
-        """Return all integrators that `hsvaos.rendering.Renderer` asks for."""
+        """Return all integrators that `hsvaos.rendering.Renderer` asks for, less `fragments`."""
         hue = self.integrator("hue", mask, wanted) if self.photos.is_colour else None
         odd = None
         if "anomaly" in (mask.method, self._settings.detect.method):
@@ -198,17 +204,60 @@ class WeightCache:
             anomaly_map=odd,
         )
 
+    def fragments(
+        self,
+        mask: MaskSettings,
+        gsd_m: float | None,
+        wanted: Wanted = lambda: True,
+        progress: Progress | None = None,
+    ) -> Integrator:
+        """Return the integrator of what the fragment network sees in each photo.
+
+        The first time takes seconds; what is abandoned is gone on with where it was.
+
+        Args:
+            mask: The settings.
+            gsd_m: Ground sampling distance of the photos [m/px], see `FragmentNet.evidence`.
+            wanted: Asked between photos.
+            progress: Told how many photos are done.
+
+        Raises:
+            Abandoned: If it is no longer wanted.
+        """
+        key = mask.rarity_smoothing_bins, gsd_m
+        with self._looking:
+            if self._fragments is not None and self._fragments[0] == key:
+                return self._fragments[1]
+            if self._evidence is None or self._evidence[0] != key:
+                self._evidence = (key, [])
+            seen, count = self._evidence[1], len(self.photos.flight)
+            _, model = self._layer("rarity", mask, wanted)
+            inputs = FragmentInput(self.photos.images, model, self.gains)
+            net = FragmentNet()
+            for index in range(len(seen), count):
+                if not wanted():
+                    raise Abandoned
+                seen.append(net.of_photo(inputs(index), gsd_m))
+                if progress is not None:
+                    progress("looking for pieces of people", index + 1, count)
+            self._fragments = (key, evidence_integrator(self.photos, np.stack(seen)))
+            self._evidence = None
+            return self._fragments[1]
+
     def _make_whole(self, kind: str, mask: MaskSettings, wanted: Wanted) -> Integrator:
         if not wanted():
             raise Abandoned
         stats = self.hue_stats(mask) if kind == "hue" else []
         layer = None
         if kind not in ("plain", "hue"):
-            layer = self._layer(kind.removesuffix("_map"), mask, wanted)
+            layer, _ = self._layer(kind.removesuffix("_map"), mask, wanted)
         return _integrator(kind, self.photos, mask, stats, self.gains, layer)
 
-    def _layer(self, kind: str, mask: MaskSettings, wanted: Wanted) -> Any:
-        """Weights by rarity or RX, of which there are two integrators: by them, and of them."""
+    def _layer(self, kind: str, mask: MaskSettings, wanted: Wanted) -> tuple[Any, Any]:
+        """Weights by rarity or RX, of which there are two integrators: by them, and of them.
+
+        Beside them the model that rarity follows; None for RX.
+        """
         if not wanted():
             raise Abandoned
         key = _key(kind, mask)
@@ -247,10 +296,12 @@ def _key(kind: str, mask: MaskSettings) -> Any:
     return tuple(getattr(mask, name) for name in _FIELDS[kind])
 
 
-def _weigh(kind: str, photos: Photos, mask: MaskSettings, gains: NDArray[np.float64] | None) -> Any:
+def _weigh(
+    kind: str, photos: Photos, mask: MaskSettings, gains: NDArray[np.float64] | None
+) -> tuple[Any, RarityModel | None]:
     if kind == "rarity":
-        return weigh_rarity(photos, mask, gains)[0]
-    return find_anomalies(photos, mask, gains)
+        return weigh_rarity(photos, mask, gains)
+    return find_anomalies(photos, mask, gains), None
 
 
 def _integrator(
@@ -268,7 +319,7 @@ def _integrator(
     if kind == "hue":
         return hue_integrator(photos, *cut_hues(photos, mask, stats, gains), gains)
     if layer is None:
-        layer = _weigh(kind.removesuffix("_map"), photos, mask, gains)
+        layer, _ = _weigh(kind.removesuffix("_map"), photos, mask, gains)
     if kind.endswith("_map"):
         return Integrator(camera, layer, poses, photos.valid)
     return Integrator(camera, photos.images, poses, layer, gains=gains)

@@ -179,9 +179,18 @@ def test_finds_are_those_of_a_run() -> None:
     flight = hsvaos.open_flight(FOLDER)
     session = Session.open(flight)
     asked = Request(session.flight.view(session.flight.centre_index), session.start)
-    finds = session.finds(asked)
-    # the viewer does not look into the photos
-    result = hsvaos.run(flight, Settings().with_values(detect={"inputs": "integrals"}))
+    looked_at: list[int] = []
+
+    def look(stage: str, done: int, count: int) -> None:
+        assert count == len(session.flight)
+        assert stage == "looking for pieces of people"
+        looked_at.append(done)
+
+    with pytest.raises(Abandoned):
+        session.finds(asked, lambda: len(looked_at) < 2, look)
+    finds = session.finds(asked, progress=look)
+    assert looked_at == list(range(1, len(session.flight) + 1))  # none of them twice
+    result = hsvaos.run(flight)
     assert sorted(f.score for f in finds) == pytest.approx(
         sorted(result.main.detections.scores.tolist())
     )
