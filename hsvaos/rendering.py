@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hsvaos.camera import VirtualCamera
 from hsvaos.detect.detections import Detections
-from hsvaos.detect.fragments import FragmentNet
+from hsvaos.detect.fragments import ONE, FragmentNet
 from hsvaos.detect.locate import ViewFinds, box_places, pose_spread
 from hsvaos.finding import Finder
 from hsvaos.flight import Flight, FlightError
@@ -120,7 +120,9 @@ class Renderer:
             of_poses = (photos.camera, photos.world_from_camera, self.pose_covariances)
             covariances = covariances + pose_spread(places, *of_poses)
         others = self._others(view) if extra else {}
-        result = ViewResult(name, view, image, footprint, mean_weight[..., 0], rays, found, others)
+        pieces = layers["fragments"][0][..., 0] / ONE if "fragments" in layers else None
+        maps = (mean_weight[..., 0], rays)
+        result = ViewResult(name, view, image, footprint, *maps, found, others, pieces)
         return result, ViewFinds(view, found, places, covariances)
 
     def _needed(self) -> tuple[str, ...]:

@@ -32,6 +32,8 @@ class ViewResult:
         detections: What was found in this view.
         extra: Further integral images by name ("plain", "hue", "rarity", "anomaly") with their
             footprints, for the main view only.
+        fragment_map: Shape (H, W), float32, mean evidence of pieces of people over the rays, 0..1,
+            see `hsvaos.detect.fragments`; None where the photos were not looked into.
     """
 
     frame: str
@@ -42,6 +44,7 @@ class ViewResult:
     rays: Image | None
     detections: Detections
     extra: dict[str, tuple[Image, Image]] = field(default_factory=dict)
+    fragment_map: Image | None = None
 
 
 @dataclass(frozen=True, eq=False)

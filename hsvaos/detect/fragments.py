@@ -33,7 +33,8 @@ _GSD_M = (0.03, 0.055)
 
 _AIM_GSD_M = 0.04
 
-_FULL = 65535.0
+ONE = np.float32(65535.0)
+"""Evidence of 1, as `FragmentNet` gives it."""
 
 
 class PhotoInputs(Protocol):
@@ -109,7 +110,7 @@ class FragmentNet:
             planes: Shape (5, H, W), from `fragment_input.FragmentInput`.
             gsd_m: Ground sampling distance of the photo [m/px], or None.
         """
-        found = self.of_planes(resampled(planes, gsd_m)) * np.float32(_FULL)
+        found = self.of_planes(resampled(planes, gsd_m)) * ONE
         return np.asarray(np.rint(found), dtype=np.uint16)
 
     def of_planes(self, planes: NDArray[np.float32]) -> NDArray[np.float32]:

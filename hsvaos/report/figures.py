@@ -192,8 +192,8 @@ def colour_map(
     return _rgba(bgr[..., ::-1], valid)
 
 
-def rarity_limits(rarity: NDArray[Any], valid: NDArray[np.bool_]) -> tuple[float, float]:
-    """Return the range of a rarity map to show: from zero to all but its rarest pixels."""
+def shining_limits(rarity: NDArray[Any], valid: NDArray[np.bool_]) -> tuple[float, float]:
+    """Return the range of a map of rarity or evidence to show: all but its highest pixels."""
     return 0.0, percentiles(rarity[valid], (0.0, RARITY_PERCENT))[1]
 
 

@@ -41,6 +41,23 @@ _INTEGRALS = {
     ),
 }
 
+_MAPS = {
+    "rarity_map": (
+        "Rarity map",
+        "Where the photos agree on an unusual colour on the ground. Look at the bright spots "
+        "first: a person, but also a car, a tarp or a flower bed. " + _UNSEEN,
+        "common",
+        "rare",
+    ),
+    "fragment_map": (
+        "Pieces of people",
+        "Every single photo was looked into for pieces of people, patches of cloth between leaves. "
+        "Bright is where several photos show what may be pieces of the same person. " + _UNSEEN,
+        "none",
+        "many",
+    ),
+}
+
 _MASKS = {
     "hue": "The single photo after the common hue of the forest was taken out: only what is still "
     "in colour counts. Dark blue was removed.",
@@ -120,7 +137,7 @@ def _photo_panels(result: Result, photo: Rgba) -> list[Panel]:
     if result.photo_rarity is not None:
         rarity = _shrunk(result.photo_rarity, small)
         whole = small[..., 3] > 0
-        low, high = figures.rarity_limits(rarity, whole)
+        low, high = figures.shining_limits(rarity, whole)
         painted = figures.colour_map(rarity, whole, low, high, "inferno")
         text = "How rare each colour of the single photo is in the whole flight. Bright is rare."
         legend = ("inferno", "common", "rare")
@@ -141,17 +158,15 @@ def _integral_panel(result: Result, name: str, image: Float, footprint: Float) -
 
 def _map_panels(result: Result) -> list[Panel]:
     main, panels = result.main, []
-    if main.rarity_map is not None:
-        seen = figures.covered(main.footprint if main.rays is None else main.rays)
-        low, high = figures.rarity_limits(main.rarity_map, seen)
-        picture = _painted(main.rarity_map, seen, low, high, "inferno")
-        text = (
-            "Where the photos agree on an unusual colour on the ground. Look at the bright spots "
-            "first: a person, but also a car, a tarp or a flower bed. " + _UNSEEN
-        )
-        picture = _dressed(result, picture)
-        legend = ("inferno", "common (0)", f"rare ({high:.2g})")
-        panels.append(Panel("rarity-map", "Rarity map", text, picture, True, legend))
+    seen = figures.covered(main.footprint if main.rays is None else main.rays)
+    for name, (title, text, least, most) in _MAPS.items():
+        values = getattr(main, name)
+        if values is None:
+            continue
+        low, high = figures.shining_limits(values, seen)
+        picture = _dressed(result, _painted(values, seen, low, high, "inferno"))
+        legend = ("inferno", f"{least} (0)", f"{most} ({high:.2g})")
+        panels.append(Panel(name.replace("_", "-"), title, text, picture, True, legend))
     low, high = figures.footprint_limits(main.footprint)
     picture = _painted(main.footprint, figures.covered(main.footprint), low, high, "viridis")
     text = (

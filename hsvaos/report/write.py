@@ -22,6 +22,7 @@ FILE_NAMES = (
     "integral.npz",
     "detections.png",
     "rarity_map.png",
+    "fragment_map.png",
     "footprint.png",
     "detections.json",
     "detections.geojson",
@@ -31,6 +32,9 @@ FILE_NAMES = (
     "report.html",
 )
 """Every file that `write_result` may write."""
+
+_SHOWN = {"rarity": "rarity", "fragment": "evidence of pieces of people"}
+"""What maps show, for their legends."""
 
 
 def write_result(
@@ -129,11 +133,12 @@ def _write_pictures(result: Result, folder: Path) -> dict[str, Path]:
         "detections.png": found,
         "footprint.png": with_legend(painted, "viridis", low, high, "footprint [photos]"),
     }
-    if main.rarity_map is not None:
-        seen = figures.covered(main.footprint if main.rays is None else main.rays)
-        low, high = figures.rarity_limits(main.rarity_map, seen)
-        painted = figures.colour_map(main.rarity_map, seen, low, high, "inferno")
-        pictures["rarity_map.png"] = with_legend(painted, "inferno", low, high, "rarity")
+    seen = figures.covered(main.footprint if main.rays is None else main.rays)
+    for values, name in ((main.rarity_map, "rarity"), (main.fragment_map, "fragment")):
+        if values is not None:
+            low, high = figures.shining_limits(values, seen)
+            painted = figures.colour_map(values, seen, low, high, "inferno")
+            pictures[f"{name}_map.png"] = with_legend(painted, "inferno", low, high, _SHOWN[name])
     return {
         name: write_bytes(folder / name, figures.encode(picture))
         for name, picture in pictures.items()
@@ -155,10 +160,10 @@ def _write_arrays(result: Result, path: Path) -> Path:
         "frame": np.array(main.frame),
         "mask": np.array(result.mask),
     }
-    if main.rarity_map is not None:
-        arrays["rarity_map"] = main.rarity_map.astype(np.float32, copy=False)
-    if main.rays is not None:
-        arrays["rays"] = main.rays.astype(np.float32, copy=False)
+    for name in ("rarity_map", "rays", "fragment_map"):
+        values = getattr(main, name)
+        if values is not None:
+            arrays[name] = values.astype(np.float32, copy=False)
     if view.camera is None:
         north0, east0 = view.world_from_camera[:2, 3]
         arrays["ortho"] = np.array([north0, east0, view.gsd_m])

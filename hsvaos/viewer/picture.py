@@ -14,7 +14,7 @@ from hsvaos.report.figures import (
     covered,
     footprint_limits,
     percentiles,
-    rarity_limits,
+    shining_limits,
     stretch_limits,
 )
 from hsvaos.viewer.request import Look
@@ -84,7 +84,7 @@ def rarity_picture(rarity: NDArray[np.float32], footprint: NDArray[np.float32]) 
     """Paint a map of rarity, shape (H, W)."""
     valid = covered(footprint)
     every = _stride(valid)
-    part = rarity_limits(rarity[::every, ::every], valid[::every, ::every])
+    part = shining_limits(rarity[::every, ::every], valid[::every, ::every])
     return _mapped(rarity, valid, part, "inferno")
 
 

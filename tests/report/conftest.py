@@ -78,7 +78,15 @@ def make_result(
         settings=StubSettings(),
         surface=FocalPlane(0.0),
         main=ViewResult(
-            "ortho" if ortho else "p2.png", view, image, footprint, map_, None, found, extra
+            "ortho" if ortho else "p2.png",
+            view,
+            image,
+            footprint,
+            map_,
+            None,
+            found,
+            extra,
+            None if map_ is None else 0.1 * map_,
         ),
         views=(("p2.png", found),),
         persons=(person,) if persons else (),

@@ -86,6 +86,7 @@ def test_pictures_follow_the_chain(result_of) -> None:
         "hue",
         "rarity",
         "rarity-map",
+        "fragment-map",
         "footprint",
     ]
     bare = _Page(report_html(result_of(rarity=False, mask="none")))
@@ -96,7 +97,7 @@ def test_pictures_follow_the_chain(result_of) -> None:
 
 def test_what_was_not_seen_is_transparent_in_the_page(result_of) -> None:
     text = report_html(result_of())
-    for key in ("hue", "footprint", "rarity-map"):
+    for key in ("hue", "footprint", "rarity-map", "fragment-map"):
         picture = _embedded(text, key)
         unseen = result_of().main.footprint == 0
         assert picture[unseen][:, 3].max() == 0
