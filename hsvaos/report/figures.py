@@ -18,8 +18,8 @@ STRETCH_PERCENT = (2.0, 99.9)
 """Percentiles that become black and white. The upper one is close to 100 because a person may be
 the brightest thing in the picture and must not be clipped away."""
 
-RARITY_PERCENT = 99.8
-"""Percentile of a rarity map that gets the last colour: rare places are few, and must shine."""
+SHINING_PERCENT = 99.8
+"""Percentile of a map of rarity or evidence that gets the last colour: the rest must shine."""
 
 _MIDTONE = 0.3
 """Shade that the median pixel is lifted to where a few bright things leave the rest in the dark."""
@@ -192,9 +192,9 @@ def colour_map(
     return _rgba(bgr[..., ::-1], valid)
 
 
-def shining_limits(rarity: NDArray[Any], valid: NDArray[np.bool_]) -> tuple[float, float]:
+def shining_limits(values: NDArray[Any], valid: NDArray[np.bool_]) -> tuple[float, float]:
     """Return the range of a map of rarity or evidence to show: all but its highest pixels."""
-    return 0.0, percentiles(rarity[valid], (0.0, RARITY_PERCENT))[1]
+    return 0.0, percentiles(values[valid], (0.0, SHINING_PERCENT))[1]
 
 
 def footprint_limits(footprint: NDArray[Any]) -> tuple[float, float]:
