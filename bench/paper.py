@@ -40,7 +40,7 @@ from hsvaos.kernels.integrate import Integrator
 from hsvaos.kernels.rays import focal_points
 from hsvaos.masking import make_masks
 from hsvaos.photos import Photos, load_photos
-from hsvaos.rendering import fragment_integrator, make_integrators
+from hsvaos.rendering import fragment_integrators, make_integrators
 from hsvaos.settings import DetectSettings, Settings, ViewSettings
 from hsvaos.surface import FocalPlane
 
@@ -95,7 +95,12 @@ def methods(coco: Path | None = None) -> dict[str, Method]:
         return lambda layers: detector.detect(layers[name][0], footprint=layers[name][1])
 
     def everything(
-        *, rays: bool = True, rarity: bool = True, coherence: bool = True, fragments: bool = True
+        *,
+        rays: bool = True,
+        rarity: bool = True,
+        coherence: bool = True,
+        fragments: bool = True,
+        agreeing: bool = True,
     ) -> Callable[[Layers], Detections]:
         def find(layers: Layers) -> Detections:
             rare, count = layers["rarity_map"]
@@ -106,6 +111,7 @@ def methods(coco: Path | None = None) -> dict[str, Method]:
                 plain=layers["plain"][0],
                 coherence=layers["coherence"] if coherence else None,
                 fragments=layers["fragments"][0][..., 0] if fragments else None,
+                fragment_coherence=layers["fragment_coherence"] if fragments and agreeing else None,
             )
 
         return find
@@ -138,6 +144,7 @@ def methods(coco: Path | None = None) -> dict[str, Method]:
         "all but rarity map": Method(everything(rarity=False), score),
         "all but coherence": Method(everything(coherence=False), score),
         "all but fragments": Method(everything(fragments=False), score),
+        "all but fragment colours": Method(everything(agreeing=False), score),
         "peaks of rarity": Method(of_peaks("rarity_map"), peaks.min_z),
         "peaks of RX": Method(of_peaks("anomaly_map"), peaks.min_z),
         **({} if coco is None else of_coco()),
@@ -150,7 +157,8 @@ def integrators(photos: Photos, ablation: bool) -> dict[str, Integrator]:
     masks = make_masks(photos, settings)
     by = make_integrators(photos, masks, "hue")
     found = {"plain": by.plain, "rarity": by.rarity, "rarity_map": by.rarity_map}
-    found["fragments"] = fragment_integrator(photos, masks, FragmentNet())
+    pieces = fragment_integrators(photos, masks, FragmentNet())
+    found["fragments"], found["pieces"] = pieces
     if by.hue is not None:
         found["hue"] = by.hue
     if ablation and by.anomaly_map is not None:
@@ -233,10 +241,13 @@ def _ground(
         raise RuntimeError(f"{flight.name}: no ground grid can stand for the views")
     layers: dict[str, Layer] = {}
     for name, integrator in by_name.items():
+        if name == "pieces":
+            continue
         image, footprint = integrator.integrate(grid, surface)
         layers[name] = (np.asarray(image.numpy()), np.asarray(footprint.numpy()))
-    agreed, coherence = by_name["rarity"].coherence(grid, surface)
-    layers["coherence"] = (np.asarray(agreed.numpy()), np.asarray(coherence.numpy()))
+    for name, of in (("coherence", "rarity"), ("fragment_coherence", "pieces")):
+        agreed, coherence = by_name[of].coherence(grid, surface)
+        layers[name] = (np.asarray(agreed.numpy()), np.asarray(coherence.numpy()))
     return GroundMap(grid, layers)
 
 

@@ -59,7 +59,8 @@ STORY = (
 )
 
 ABLATION = (
-    "hsvaos", "all but fragments", "all but coherence", "all but rays", "all but rarity map",
+    "hsvaos", "all but fragments", "all but fragment colours", "all but coherence",
+    "all but rays", "all but rarity map",
     "rarity image", "rarity x hue image", "HSV-AOS", "hue, not brightened", "AOS",
     "peaks of rarity", "peaks of RX",
 )  # fmt: skip
@@ -313,8 +314,8 @@ def write_page(folder: Path) -> None:
         "every kind of image in the same run: AOS is the plain mean, HSV-AOS the paper's form "
         "(linear hue statistics of each photo, 2 sigma cut, dark ground brightened), both seen "
         "as images with their footprint; hsvaos sees the rarity-weighted and the plain integral, "
-        "the rarity map, the number of rays, whether rare rays agree, and the evidence of pieces "
-        "of people in the single photos (fragments).\n",
+        "the rarity map, the number of rays, whether rare rays agree, the evidence of pieces of "
+        "people in the single photos (fragments), and the colours of those pieces that agree.\n",
         f"Software: Python {platform.python_version()}, {libraries}; CPU.\n",
         "People reached by fewer than 1.5 unoccluded rays a point on average are in `unreached`, "
         "not in `all`; finds on them count neither way there. AP is COCO's 101-point form; TP, "

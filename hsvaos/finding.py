@@ -17,7 +17,8 @@ class Finder:
 
     Args:
         layers: Names of the layers it looks at: "plain", "chosen", "rarity", "rarity_map",
-            "anomaly_map", "coherence", "fragments"; the last one where there is one.
+            "anomaly_map", "coherence", "fragments", "fragment_coherence"; the last two where there
+            are some.
         least_score: Score below which a person, seen over all views, is left out.
         find: Called with layers by name, each (image, footprint), and the ground sampling distance
             [m/px].
@@ -107,6 +108,7 @@ def _network_finder(settings: DetectSettings) -> Finder:
             plain=layers["plain"][0],
             coherence=layers["coherence"],
             fragments=layers["fragments"][0][..., 0] if "fragments" in layers else None,
+            fragment_coherence=layers.get("fragment_coherence"),
             gsd_m=gsd_m,
         )
         return best(found)
@@ -115,5 +117,5 @@ def _network_finder(settings: DetectSettings) -> Finder:
         return Finder(("chosen",), least, find_in_image)
     looked_at: tuple[str, ...] = ("rarity_map", "rarity", "plain", "coherence")
     if settings.inputs == "all" and detector.sees_fragments:
-        looked_at = (*looked_at, "fragments")
+        looked_at = (*looked_at, "fragments", "fragment_coherence")
     return Finder(looked_at, least, find_in_all)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from time import perf_counter
 from typing import Any
 
@@ -15,7 +14,7 @@ from hsvaos.focusing import choose_surface, without_parallax
 from hsvaos.kernels.device import resolve_device
 from hsvaos.masking import Masks, as_bytes, make_masks
 from hsvaos.photos import Photos, Progress, load_photos, with_poses
-from hsvaos.rendering import Integrators, Renderer, fragment_integrator, make_integrators
+from hsvaos.rendering import Integrators, Renderer, fragment_integrators, make_integrators
 from hsvaos.result import Result, ViewResult
 from hsvaos.settings import Settings
 from hsvaos.surface import FocalSurface
@@ -124,7 +123,7 @@ def _with_fragments(
 ) -> Integrators:
     """Let a network look for pieces of people in every photo."""
     net, gsd_m = FragmentNet(), photo_sampling(photos.flight, surface)
-    return replace(by, fragments=fragment_integrator(photos, masks, net, gsd_m, progress))
+    return by.with_evidence(fragment_integrators(photos, masks, net, gsd_m, progress))
 
 
 class _Clock:

@@ -387,7 +387,7 @@ def integrate(
         world_from_camera: Shape (N, 4, 4).
         view: The virtual camera.
         surface: The focal surface.
-        weights: Shape (N, H, W); uint8 (255 = 1) or float.
+        weights: Shape (N, H, W); uint8 (255 = 1), uint16 (65535 = 1) or float.
         aperture_m: Radius of the synthetic aperture [m].
         frames: Numbers of the photos to use.
         gains: Shape (N, 3), factors on the channels of each photo.

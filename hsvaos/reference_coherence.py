@@ -27,7 +27,7 @@ def coherence(
         world_from_camera: Shape (N, 4, 4).
         view: The virtual camera.
         surface: The focal surface.
-        weights: Shape (N, H, W); uint8 (255 = 1) or float.
+        weights: Shape (N, H, W); uint8 (255 = 1), uint16 (65535 = 1) or float.
         gains: Shape (N, 3), factors on the channels of each photo.
 
     Returns:

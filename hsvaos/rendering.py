@@ -40,6 +40,7 @@ class Integrators:
         rarity_map: The rarity weights themselves, integrated as an image.
         anomaly_map: The RX masks integrated as an image; None unless they were made.
         fragments: Evidence of pieces of people, integrated as an image; None unless it was made.
+        pieces: Weighed by that evidence; None unless it was made.
     """
 
     plain: Integrator
@@ -49,6 +50,11 @@ class Integrators:
     rarity_map: Integrator
     anomaly_map: Integrator | None = None
     fragments: Integrator | None = None
+    pieces: Integrator | None = None
+
+    def with_evidence(self, integrators: tuple[Integrator, Integrator]) -> Integrators:
+        """Return them with `fragments` and `pieces`, as `evidence_integrators` makes these."""
+        return replace(self, fragments=integrators[0], pieces=integrators[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,9 +133,9 @@ class Renderer:
 
     def _needed(self) -> tuple[str, ...]:
         looked_at = self.finder.layers if self.finder is not None else ()
-        left_out = {"rarity_map", "chosen"} | (
-            {"fragments"} if self.by.fragments is None else set()
-        )
+        left_out = {"rarity_map", "chosen"}
+        if self.by.fragments is None:
+            left_out |= {"fragments", "fragment_coherence"}
         return ("rarity_map", "chosen", *(n for n in looked_at if n not in left_out))
 
     def _layers(
@@ -141,8 +147,9 @@ class Renderer:
 
     def _integrate(self, name: str, view: VirtualCamera) -> Layer:
         where = (view, self.surface, self.settings.view.aperture_m)
-        if name == "coherence":
-            image, footprint = self.by.rarity.coherence(*where)
+        agreeing = {"coherence": self.by.rarity, "fragment_coherence": self.by.pieces}.get(name)
+        if agreeing is not None:
+            image, footprint = agreeing.coherence(*where)
         else:
             integrator: Integrator = getattr(self.by, name)
             image, footprint = integrator.integrate(*where)
@@ -196,14 +203,14 @@ def hue_integrator(
     return Integrator(camera, photos.images, poses, hue, gains=gains)
 
 
-def fragment_integrator(
+def fragment_integrators(
     photos: Photos,
     masks: Masks,
     net: FragmentNet,
     gsd_m: float | None = None,
     progress: Progress | None = None,
-) -> Integrator:
-    """Return the integrator of what every photo says of pieces of people.
+) -> tuple[Integrator, Integrator]:
+    """Return the integrators of what every photo says of pieces of people.
 
     Args:
         photos: Colour photos.
@@ -211,6 +218,9 @@ def fragment_integrator(
         net: The network that looks at them.
         gsd_m: Ground sampling distance of the photos [m/px], see `FragmentNet.evidence`.
         progress: Told how many photos are done.
+
+    Returns:
+        See `evidence_integrators`.
     """
 
     def report(done: int, count: int) -> None:
@@ -218,23 +228,38 @@ def fragment_integrator(
             progress("looking for pieces of people", done, count)
 
     inputs = FragmentInput(photos.images, masks.rarity_model, masks.gains)
-    return evidence_integrator(photos, net.evidence(inputs, gsd_m, report))
+    return evidence_integrators(photos, net.evidence(inputs, gsd_m, report), masks.gains)
 
 
-def evidence_integrator(photos: Photos, evidence: NDArray[np.uint16]) -> Integrator:
-    """Return the integrator of what a network said of every photo.
+def evidence_integrators(
+    photos: Photos, evidence: NDArray[np.uint16], gains: NDArray[np.float64] | None
+) -> tuple[Integrator, Integrator]:
+    """Return the integrators of what a network said of every photo.
 
     Args:
         photos: The photos.
         evidence: Shape (N, h, w), uint16, of the photos' size or resampled from it.
+        gains: Shape (N, 3), factors that level the photos; None for none.
+
+    Returns:
+        That of the evidence as an image, and that of the photos weighed by it.
     """
     height, width = evidence.shape[1:]
-    camera, valid = photos.flight.camera, photos.valid
+    flight, valid, device = photos.flight, photos.valid, photos.images.device
+    camera = flight.camera
+    # no evidence is no lack of a ray: that is what 0 would mean as a weight
+    weights = np.maximum(evidence, np.uint16(1))
     if (width, height) != (camera.width, camera.height):
+        weights = np.stack([resized(one, camera.width, camera.height) for one in weights])
+    if valid is not None:
+        weights[np.broadcast_to(valid == 0, weights.shape)] = 0
+    on_device: Any = wp.array(weights, dtype=wp.uint16, device=device)
+    pieces = Integrator(camera, photos.images, flight.poses, on_device, gains=gains)
+    if weights.shape != evidence.shape:
         camera = camera.scaled(width, height)
         valid = None if valid is None else _resized_masks(valid, width, height)
-    on_device: Any = wp.array(evidence, dtype=wp.uint16, device=photos.images.device)
-    return Integrator(camera, on_device, photos.flight.poses, valid)
+        on_device = wp.array(evidence, dtype=wp.uint16, device=device)
+    return Integrator(camera, on_device, flight.poses, valid), pieces
 
 
 def _resized_masks(valid: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:

@@ -12,6 +12,9 @@ from hsvaos.detect.network_input import CHANNELS
 from tests.detect.nets import own_net
 
 SIZE = (160, 192)
+ALL_LAYERS = {
+    *("rarity", "plain", "rarity_map", "coherence", "fragments", "fragment_coherence"),
+}
 
 
 def layers():
@@ -52,7 +55,7 @@ def settings(**values):
 )
 def test_the_network_sees_everything(red_net, channel, layer):
     finder = make_finder(settings(model=red_net(channel)), 30)
-    assert set(finder.layers) == {"rarity", "plain", "rarity_map", "coherence", "fragments"}
+    assert set(finder.layers) == ALL_LAYERS
     shown = layers()
     assert len(finder(shown, 0.05)) == 0
     shown[layer][0][64:80, 96:112, 0] *= 3.0
@@ -71,10 +74,25 @@ def test_the_network_sees_coherence(red_net):
     assert found.boxes_xyxy[0] == pytest.approx([95.5, 63.5, 111.5, 79.5], abs=1e-3)
 
 
+def test_the_network_sees_the_colours_of_fragments(red_net):
+    finder = make_finder(settings(model=red_net("fragment red")), 30)
+    shown = layers()
+    rng = np.random.default_rng(1)
+    evidence = np.abs(rng.normal(900.0, 90.0, (*SIZE, 1))).astype(np.float32)
+    colours = rng.normal(90.0, 9.0, (*SIZE, 3)).astype(np.float32)
+    shown["fragments"] = (evidence, shown["plain"][1])
+    shown["fragment_coherence"] = (colours, np.full(SIZE, 0.1, np.float32))
+    assert len(finder(shown, 0.05)) == 0
+    colours[64:80, 96:112, 0] *= 3.0
+    found = finder(shown, 0.05)
+    assert len(found) == 1
+    assert found.boxes_xyxy[0] == pytest.approx([95.5, 63.5, 111.5, 79.5], abs=1e-3)
+
+
 def test_the_network_sees_fragments_where_there_are_some(red_net):
     path = red_net("fragments")
     finder = make_finder(settings(model=path), 30)
-    assert set(finder.layers) == {"rarity", "plain", "rarity_map", "coherence", "fragments"}
+    assert set(finder.layers) == ALL_LAYERS
     shown = layers()
     assert len(finder(shown, 0.05)) == 0  # a grey flight has none
     evidence = np.abs(np.random.default_rng(1).normal(900.0, 90.0, (*SIZE, 1))).astype(np.float32)

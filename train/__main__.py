@@ -103,25 +103,38 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m train", description=__doc__)
     parser.add_argument("work", type=Path, help="folder for everything; some 14 GB")
     parser.add_argument("--flights", type=int, default=43)
+    parser.add_argument("--first", type=int, default=FIRST_TRAINING_SEED, help="seed of the first")
     parser.add_argument("--tuning", type=int, default=4)
     parser.add_argument("--steps", type=int, default=2400)
     parser.add_argument("--fragment-steps", type=int, default=3000)
+    parser.add_argument(
+        "--fragments", type=Path, help="a network of fragments that saw none of these flights"
+    )
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--start-from", type=Path, help="an exported network to train further")
+    parser.add_argument(
+        "--keep", type=float, default=0.0, help="share of that network's weights that stays"
+    )
     parser.add_argument("--rate", type=float, default=2e-3, help="highest learning rate")
     parser.add_argument("--seed", type=int, default=1, help="of first weights and of crops")
     asked = parser.parse_args()
+    if not FIRST_TRAINING_SEED <= asked.first <= FIRST_TUNING_SEED - asked.flights:
+        parser.error(f"--first: expected {FIRST_TRAINING_SEED} or more, got {asked.first}")
+    if not 0.0 <= asked.keep < 1.0 or (asked.keep and asked.start_from is None):
+        parser.error(f"--keep: expected 0 to 1, with --start-from, got {asked.keep:g}")
     work = asked.work
     names = ("flights", "tuning_flights", "crops", "maps", "tuning_maps")
     flights, searches, crops, maps, tuning = (work / name for name in names)
     for folder in (flights, searches, crops, maps, tuning):
         folder.mkdir(parents=True, exist_ok=True)
-    seeds = range(FIRST_TRAINING_SEED, FIRST_TRAINING_SEED + asked.flights)
+    seeds = range(asked.first, asked.first + asked.flights)
     tuning_seeds = range(FIRST_TUNING_SEED, FIRST_TUNING_SEED + asked.tuning)
     _each("flights", partial(_flight, flights), seeds, asked.workers)
     _each("tuning flights", partial(_flight, searches), tuning_seeds, asked.workers)
-    _each("crops of photos", partial(_crops, flights, crops), seeds, asked.workers)
-    net, halves = train_fragments(work, crops, asked.fragment_steps)
+    net, halves = asked.fragments, [asked.fragments]
+    if net is None:
+        _each("crops of photos", partial(_crops, flights, crops), seeds, asked.workers)
+        net, halves = train_fragments(work, crops, asked.fragment_steps)
     _each("maps", partial(_maps, flights, maps, halves), seeds, asked.workers)
     _each("tuning maps", partial(_maps, searches, tuning, [net]), tuning_seeds, asked.workers)
     return train(work, maps, tuning, asked)
@@ -132,6 +145,7 @@ def train(work: Path, maps: Path, tuning: Path, asked: argparse.Namespace) -> in
     from train.export import export
     from train.fit import BATCH, Crops, fit
     from train.judge import judge, threshold
+    from train.warm import blended
 
     held_out = sorted(tuning.glob("*.npz"))
     net = fit(
@@ -144,6 +158,8 @@ def train(work: Path, maps: Path, tuning: Path, asked: argparse.Namespace) -> in
         start_from=asked.start_from,
         rate=asked.rate,
     )
+    if asked.keep:
+        net = blended(net, asked.start_from, asked.keep)
     figures = judge(held_out)(net)
     score = threshold(net, held_out)
     story = {
@@ -153,6 +169,7 @@ def train(work: Path, maps: Path, tuning: Path, asked: argparse.Namespace) -> in
         "steps": asked.steps,
         "crops": asked.steps * BATCH,
         "started_from": asked.start_from.name if asked.start_from else "new weights",
+        "kept_of_it": asked.keep,
         "tuning": figures,
     }
     export(net, work / "person.onnx", score, story)

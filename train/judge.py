@@ -13,7 +13,17 @@ from torch import nn
 from hsvaos.detect.few_rays import doubted
 from hsvaos.detect.network_input import AIM_GSD_M, TRAINED_GSD_M, network_input
 from hsvaos.evaluate.detection import Matches, match_boxes
-from train.maps import COHERENCE, COHERENT, FRAGMENTS, PLANES, RARITY_MAP, RAYS
+from train.maps import (
+    COHERENCE,
+    COHERENT,
+    FRAGMENT_COHERENCE,
+    FRAGMENT_COLOUR,
+    FRAGMENTS,
+    PLANES,
+    RARITY_MAP,
+    RAYS,
+    agreed_in,
+)
 from train.net import MULTIPLE, Exported, PersonNet
 from train.samples import LEAST_RAYS_SEEN, at_sampling
 
@@ -31,7 +41,7 @@ def finds(net: nn.Module, whole: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     Args:
         net: The network as exported.
-        whole: Shape (15, H, W), from `network_input`.
+        whole: Shape (19, H, W), from `network_input`.
     """
     height, width = (-(-side // MULTIPLE) * MULTIPLE for side in whole.shape[1:])
     padded = np.zeros((1, len(whole), height, width), dtype=np.float32)
@@ -116,8 +126,9 @@ def matched(net: PersonNet, paths: list[Path], ious: tuple[float, ...]) -> dict[
             layers[RAYS],
             layers[RARITY_MAP],
             np.moveaxis(layers[PLANES["plain"]], 0, 2),
-            (np.moveaxis(layers[COHERENT], 0, 2), layers[COHERENCE]),
+            agreed_in(layers, COHERENT, COHERENCE),
             layers[FRAGMENTS] if pieces else None,
+            agreed_in(layers, FRAGMENT_COLOUR, FRAGMENT_COHERENCE) if pieces else None,
         )
         boxes, scores = finds(exported, whole)
         scores = doubted(boxes + 0.5, scores, layers[RAYS])  # as the detector does

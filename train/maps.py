@@ -26,7 +26,7 @@ from hsvaos.photos import Photos, load_photos
 from hsvaos.rarity_model import RarityModel
 from hsvaos.rendering import (
     Integrators,
-    fragment_integrator,
+    fragment_integrators,
     hue_integrator,
     make_integrators,
 )
@@ -35,11 +35,13 @@ from hsvaos.surface import FocalPlane
 
 PLANES = {"plain": slice(0, 3), "rarity": slice(3, 6), "hue": slice(6, 9)}
 """Where the three integral images lie in a map; then come rarity map, rays and hue footprint, the
-colours of the rays that agree, their coherence, and the evidence of fragments."""
+colours of the rays that agree, their coherence, the evidence of fragments, and the colours of the
+rays of fragments that agree, and their coherence."""
 
 RARITY_MAP, RAYS, HUE_FOOTPRINT = 9, 10, 11
 COHERENT, COHERENCE, FRAGMENTS = slice(12, 15), 15, 16
-LAYERS = 17
+FRAGMENT_COLOUR, FRAGMENT_COHERENCE = slice(17, 20), 20
+LAYERS = 21
 
 CONDITIONS = 4
 """Maps of each training flight."""
@@ -227,8 +229,7 @@ def _integrators(
     if not photos.is_colour:
         return ours, ours
     if fragments is not None:
-        pieces = fragment_integrator(photos, masks, fragments)
-        ours = replace(ours, fragments=pieces)
+        ours = ours.with_evidence(fragment_integrators(photos, masks, fragments))
     mask, gains = Settings().with_values(mask={"statistics": "linear"}).mask, masks.gains
     how = (mask.sigmas, mask.statistics, mask.scope)
     stats, _ = measure_hue(photos.images, *how, valid=photos.valid, gains=gains)
@@ -278,6 +279,10 @@ def _layers(
         image, footprint = integrator.at_poses(poses).integrate(view, plane, frames=chosen)
         return np.asarray(image.numpy()), np.asarray(footprint.numpy())
 
+    def agreed(integrator: Integrator) -> tuple[Any, Any]:
+        image, coherence = integrator.at_poses(poses).coherence(view, plane, frames=chosen)
+        return np.moveaxis(image.numpy(), 2, 0), coherence.numpy()  # grey fills all three
+
     layers = np.zeros((LAYERS, view.height, view.width), dtype=np.float32)
     plain, rays = integral(by.plain)
     hue, kept = (plain, rays) if by.hue is None else integral(by.hue)
@@ -286,9 +291,21 @@ def _layers(
     layers[RARITY_MAP] = integral(by.rarity_map)[0][..., 0]
     layers[RAYS] = rays
     layers[HUE_FOOTPRINT] = kept
-    coherent, coherence = by.rarity.at_poses(poses).coherence(view, plane, frames=chosen)
-    layers[COHERENT] = np.moveaxis(coherent.numpy(), 2, 0)
-    layers[COHERENCE] = coherence.numpy()
-    if by.fragments is not None:
+    layers[COHERENT], layers[COHERENCE] = agreed(by.rarity)
+    if by.fragments is not None and by.pieces is not None:
         layers[FRAGMENTS] = integral(by.fragments)[0][..., 0]
+        layers[FRAGMENT_COLOUR], layers[FRAGMENT_COHERENCE] = agreed(by.pieces)
     return layers
+
+
+def agreed_in(
+    layers: NDArray[np.float32], colours: slice, coherence: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return mean colours and coherence of a map as `network_input` takes them.
+
+    Args:
+        layers: Shape (21, H, W).
+        colours: `COHERENT` or `FRAGMENT_COLOUR`.
+        coherence: `COHERENCE` or `FRAGMENT_COHERENCE`.
+    """
+    return np.moveaxis(layers[colours], 0, 2), layers[coherence]

@@ -11,7 +11,18 @@ from numpy.typing import NDArray
 
 from hsvaos.detect.network_input import AIM_GSD_M, CHANNELS, TRAINED_GSD_M, network_input
 from train.drawn import draw_figures, smooth_ground
-from train.maps import COHERENCE, COHERENT, FRAGMENTS, HUE_FOOTPRINT, PLANES, RARITY_MAP, RAYS
+from train.maps import (
+    COHERENCE,
+    COHERENT,
+    FRAGMENT_COHERENCE,
+    FRAGMENT_COLOUR,
+    FRAGMENTS,
+    HUE_FOOTPRINT,
+    PLANES,
+    RARITY_MAP,
+    RAYS,
+    agreed_in,
+)
 
 CROP_PX = 256
 LEAST_RAYS = 1.5
@@ -31,7 +42,7 @@ class Sample:
     """One crop.
 
     Args:
-        whole: Shape (15, 256, 256), float32, the network's input.
+        whole: Shape (19, 256, 256), float32, the network's input.
         boxes: Shape (K, 4), xyxy [px], people to find.
         ignored: Shape (M, 4), people who cannot be seen.
     """
@@ -104,7 +115,10 @@ def at_sampling(
     factor = gsd / wanted
     height, width = (max(CROP_PX // 2, round(side * factor)) for side in layers.shape[1:])
     way = cv2.INTER_AREA if factor < 0.95 else cv2.INTER_LINEAR
+    layers = layers.copy()
+    layers[FRAGMENT_COLOUR] *= layers[FRAGMENT_COHERENCE]  # no colour is not black
     small = np.stack([cv2.resize(layer, (width, height), interpolation=way) for layer in layers])
+    small[FRAGMENT_COLOUR] /= np.maximum(small[FRAGMENT_COHERENCE], np.float32(1e-6))
     scale = np.array([width / layers.shape[2], height / layers.shape[1]] * 2)
     return small, (boxes + 0.5) * scale - 0.5
 
@@ -151,13 +165,15 @@ def _look(
     if kind == "rarity" and rng.uniform() < 0.85:
         known[:] = True  # as `hsvaos run` gives it
         known[4] = rng.uniform() < 0.85  # unless it is told to hurry
+    looked = pieces and known[4]
     whole = network_input(
         image,
         rays if known[0] else None,
         layers[RARITY_MAP] if known[1] else None,
         _image(layers, "plain") if known[2] else None,
-        (np.moveaxis(layers[COHERENT], 0, 2), layers[COHERENCE]) if known[3] else None,
-        layers[FRAGMENTS] if pieces and known[4] else None,
+        agreed_in(layers, COHERENT, COHERENCE) if known[3] else None,
+        layers[FRAGMENTS] if looked else None,
+        agreed_in(layers, FRAGMENT_COLOUR, FRAGMENT_COHERENCE) if looked else None,
     )
     return _jittered(whole, rng), np.zeros((0, 4)), False
 

@@ -25,18 +25,14 @@ def unfolded(path: Path, batches: Iterable[Tensor]) -> PersonNet:
 
     Args:
         path: Written by `train.export`.
-        batches: Inputs (B, 15, H, W) on which the layers' means and deviations are measured.
+        batches: Inputs (B, 19, H, W) on which the layers' means and deviations are measured.
 
     Raises:
         ValueError: If the file holds another network.
     """
     net = PersonNet().eval()
     layers = _layers(net)
-    stored = _stored(path)
-    stored[0] = _widened(stored[0][0], net.channels), stored[0][1]
-    shapes = [tuple(conv.weight.shape) for conv, _ in layers]
-    if [tuple(weight.shape) for weight, _ in stored] != shapes:
-        raise ValueError(f"{path}: expected the convolutions {shapes} of train.net")
+    stored = _fitting(path, net)
     factors: list[Tensor] = []
     with torch.no_grad():
         for (conv, norm), (weight, bias) in zip(layers, stored, strict=True):
@@ -55,6 +51,62 @@ def unfolded(path: Path, batches: Iterable[Tensor]) -> PersonNet:
             if norm is not None:
                 _normalise(norm, *moments[conv], factor, bias)
     return net
+
+
+def blended(net: PersonNet, path: Path, share: float) -> PersonNet:
+    """Return the network half way, or some other part of it, back to the file it began with.
+
+    Weights between those before and after further training find more than either: Wortsman 2022,
+    "Robust fine-tuning of zero-shot models".
+
+    Args:
+        net: Trained further from the file; not changed.
+        path: The file.
+        share: Of the file's weights, 0 to 1.
+
+    Returns:
+        A network to be used, not to be trained: its normalisations do nothing.
+
+    Raises:
+        ValueError: If the file holds another network.
+    """
+    mixed = PersonNet().eval()
+    stored = _fitting(path, mixed)
+    with torch.no_grad():
+        for (conv, norm), own, old in zip(_layers(mixed), _folded(net), stored, strict=True):
+            weight, bias = (
+                torch.lerp(new, before, share) for new, before in zip(own, old, strict=True)
+            )
+            conv.weight.copy_(weight)
+            if norm is None:
+                conv.bias.copy_(bias)  # type: ignore[union-attr]
+            else:
+                one = torch.ones_like(bias)
+                _normalise(norm, torch.zeros_like(bias), one - norm.eps, one, bias)
+    return mixed
+
+
+def _folded(net: PersonNet) -> list[tuple[Tensor, Tensor]]:
+    """Return weights and biases of the convolutions with their normalisations folded in."""
+    found = []
+    for conv, norm in _layers(net):
+        if norm is None:
+            found.append((conv.weight, conv.bias))
+            continue
+        factor = norm.weight / torch.sqrt(norm.running_var + norm.eps)  # type: ignore[operator]
+        bias = norm.bias - norm.running_mean * factor  # type: ignore[operator]
+        found.append((conv.weight * factor[:, None, None, None], bias))
+    return found  # type: ignore[return-value]
+
+
+def _fitting(path: Path, net: PersonNet) -> list[tuple[Tensor, Tensor]]:
+    """Return the convolutions of a file, which must be those of the network."""
+    stored = _stored(path)
+    stored[0] = _widened(stored[0][0], net.channels), stored[0][1]
+    shapes = [tuple(conv.weight.shape) for conv, _ in _layers(net)]
+    if [tuple(weight.shape) for weight, _ in stored] != shapes:
+        raise ValueError(f"{path}: expected the convolutions {shapes} of train.net")
+    return stored
 
 
 def _widened(weight: Tensor, channels: int) -> Tensor:

@@ -175,11 +175,11 @@ class OwnFeed:
             flat = view.as_grey()
             planes = grey_input(flat.image, flat.footprint)
         else:
-            agreed = None
-            if view.coherent is not None and view.coherence is not None:
-                agreed = (view.coherent, view.coherence)
-            known = view.footprint, view.rarity, view.plain, agreed, view.fragments
-            planes = network_input(view.image, *known)
+            planes = network_input(
+                *(view.image, view.footprint, view.rarity, view.plain),
+                *(_pair(view.coherent, view.coherence), view.fragments),
+                _pair(view.fragment_colour, view.fragment_coherence),
+            )
         if self._channels != list(range(len(planes))):
             planes = planes[self._channels]
         height, width = (
@@ -187,6 +187,10 @@ class OwnFeed:
             for fixed, side in zip(self._fixed, view.size, strict=True)
         )
         return padded(planes, (height, width))
+
+
+def _pair(image: Array | None, coherence: Array | None) -> tuple[Array, Array] | None:
+    return None if image is None or coherence is None else (image, coherence)
 
 
 def _threshold(network: Network, default: float) -> float:

@@ -5,6 +5,7 @@ The same lines prepare integral images for training and for finding people.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ CHANNELS = (
     *("red", "green", "blue", "plain red", "plain green", "plain blue", "rarity", "rays"),
     *("coherence", "plain surprise", "rare colour", "rare contrast"),
     *("coherent colour", "coherent contrast", "fragments"),
+    *("fragment red", "fragment green", "fragment blue", "fragment coherence"),
 )
 """Channels of the network's input, in order."""
 
@@ -43,6 +45,7 @@ def network_input(
     plain: ArrayLike | None = None,
     coherence: tuple[ArrayLike, ArrayLike] | None = None,
     fragments: ArrayLike | None = None,
+    fragment_coherence: tuple[ArrayLike, ArrayLike] | None = None,
 ) -> NDArray[np.float32]:
     """Return the input of the person network for one integral image.
 
@@ -62,9 +65,10 @@ def network_input(
             do, shape (H, W), see `Integrator.coherence`. None if unknown.
         fragments: Shape (H, W), any unit, the evidence of pieces of people in single photos, see
             `FragmentNet`, averaged over the rays. None if unknown.
+        fragment_coherence: As `coherence`, of photos weighed by that evidence. None if unknown.
 
     Returns:
-        Shape (15, H, W), float32, see `CHANNELS`.
+        Shape (19, H, W), float32, see `CHANNELS`.
 
     Raises:
         ValueError: If a shape does not fit.
@@ -97,33 +101,61 @@ def network_input(
     whole[11] = _weighed(weight, contrasts, known)
     if rays is not None:
         whole[7] = np.log1p(np.maximum(np.nan_to_num(rays, nan=0.0), 0.0)) / 4.0
+    everywhere = np.ones(size, dtype=np.bool_) if rays is None else rays > 0.0
     if coherence is not None:
-        everywhere = np.ones(size, dtype=np.bool_) if rays is None else rays > 0.0
         whole[8], whole[12], whole[13] = _coherence(coherence, everywhere)
     pieces = _fitting(fragments, size, "fragments")
     if pieces is not None:
         known = np.isfinite(pieces) & (seen if rays is None else rays > 0.0)
         pieces = np.where(known, pieces, np.float32(0.0))
         whole[14] = _compressed(local_contrast(pieces[..., None], known))[0]
+    if fragment_coherence is not None:
+        agreed = _agreed(fragment_coherence, everywhere, "fragment_coherence")
+        whole[15:18], whole[18] = agreed.contrast, agreed.coherence
     return whole
+
+
+@dataclass(frozen=True, eq=False)
+class _Agreed:
+    """What rays show that agree: colours where any do, and how much they agree.
+
+    Args:
+        picture: Shape (H, W, C), their mean colour.
+        known: Shape (H, W), where any agree.
+        weight: Shape (H, W), squared coherence.
+        contrast: Shape (3, H, W) or (1, H, W), contrast of the colours.
+        coherence: Shape (H, W), contrast of the weight.
+    """
+
+    picture: NDArray[np.float32]
+    known: NDArray[np.bool_]
+    weight: NDArray[np.float32]
+    contrast: NDArray[np.float32]
+    coherence: NDArray[np.float32]
+
+
+def _agreed(pair: tuple[Any, Any], seen: NDArray[np.bool_], name: str) -> _Agreed:
+    picture, known = _sized(pair[0], seen.shape, f"{name}[0]")
+    much = _fitting(pair[1], seen.shape, f"{name}[1]")
+    agreement = np.nan_to_num(np.zeros(seen.shape, np.float32) if much is None else much, nan=0.0)
+    known = known & (agreement > 0.0)
+    weight = agreement * agreement
+    contrast = _clipped(local_contrast(picture, known))
+    itself: NDArray[np.float32] = _compressed(local_contrast(weight[..., None], seen))[0]
+    return _Agreed(picture, known, weight, contrast, itself)
 
 
 def _coherence(
     pair: tuple[Any, Any], seen: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     """Return the channels of coherence, itself and weighed by its colours' surprise."""
-    picture, known = _sized(pair[0], seen.shape, "coherence[0]")
-    much = _fitting(pair[1], seen.shape, "coherence[1]")
-    agreement = np.nan_to_num(np.zeros(seen.shape, np.float32) if much is None else much, nan=0.0)
-    known = known & (agreement > 0.0)
-    weight = agreement * agreement
-    parts = _clipped(local_contrast(picture, known))
-    contrasts = surprise_of_contrasts(_deviations(parts), known)
+    agreed = _agreed(pair, seen, "coherence")
+    contrasts = surprise_of_contrasts(_deviations(agreed.contrast), agreed.known)
     colours = contrasts
-    if picture.shape[2] == 3:
-        colours = surprise_of_colours(picture, known, among_alike=True)
-    itself: NDArray[np.float32] = _compressed(local_contrast(weight[..., None], seen))[0]
-    return itself, _weighed(weight, colours, seen), _weighed(weight, contrasts, seen)
+    if agreed.picture.shape[2] == 3:
+        colours = surprise_of_colours(agreed.picture, agreed.known, among_alike=True)
+    rare_colour = _weighed(agreed.weight, colours, seen)
+    return agreed.coherence, rare_colour, _weighed(agreed.weight, contrasts, seen)
 
 
 def _weighed(

@@ -33,6 +33,8 @@ class ViewInput:
         coherent: Like the image, the mean colour of the rays that agree; or None.
         coherence: Shape (H, W), float32, how much they do; None with `coherent`.
         fragments: Shape (H, W), float32, mean evidence of pieces of people; or None.
+        fragment_colour: Like the image, the mean colour of pieces of people that agree; or None.
+        fragment_coherence: Shape (H, W), float32, how much they do; None with `fragment_colour`.
     """
 
     image: Array
@@ -42,6 +44,8 @@ class ViewInput:
     coherent: Array | None = None
     coherence: Array | None = None
     fragments: Array | None = None
+    fragment_colour: Array | None = None
+    fragment_coherence: Array | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -116,8 +120,10 @@ class ViewInput:
 
     @property
     def _others(self) -> tuple[Array | None, ...]:
-        agreeing = self.coherent, self.coherence
-        return self.footprint, self.rarity, self.plain, *agreeing, self.fragments
+        return (
+            *(self.footprint, self.rarity, self.plain, self.coherent, self.coherence),
+            *(self.fragments, self.fragment_colour, self.fragment_coherence),
+        )
 
     def _each(self, change: Callable[[Array], Array]) -> ViewInput:
         changed = [None if part is None else change(part) for part in self._others]
@@ -150,6 +156,7 @@ def checked_view(
     plain: ArrayLike | None = None,
     coherence: tuple[ArrayLike, ArrayLike] | None = None,
     fragments: ArrayLike | None = None,
+    fragment_coherence: tuple[ArrayLike, ArrayLike] | None = None,
 ) -> ViewInput:
     """Check the arrays of a view; NaN and infinity count as not known.
 
@@ -161,6 +168,7 @@ def checked_view(
         coherence: Mean colour of the rays that agree, shapes as `image`, and how much they do,
             shape (H, W); see `Integrator.coherence`.
         fragments: Shape (H, W), mean evidence of pieces of people over the rays.
+        fragment_coherence: As `coherence`, of photos weighed by that evidence.
 
     Raises:
         ValueError: If a shape is wrong; the message names the argument.
@@ -172,12 +180,10 @@ def checked_view(
     if rays is not None:
         rays = np.nan_to_num(rays, nan=0.0)
     rare = _map(rarity, "rarity", size)
-    if coherence is not None and len(coherence) != 2:
-        raise ValueError(f"coherence must be a pair (image, coherence), got {len(coherence)} parts")
-    agreed, much = (None, None) if coherence is None else coherence
-    other, agreed = (_other(plain, "plain", size), _other(agreed, "coherence[0]", size))
-    alike, pieces = _map(much, "coherence[1]", size), _map(fragments, "fragments", size)
-    return ViewInput(picture, rays, rare, other, agreed, alike, pieces)
+    other, agreed = _other(plain, "plain", size), _agreed(coherence, "coherence", size)
+    pieces = _map(fragments, "fragments", size)
+    agreed_pieces = _agreed(fragment_coherence, "fragment_coherence", size)
+    return ViewInput(picture, rays, rare, other, *agreed, pieces, *agreed_pieces)
 
 
 def windows(size: tuple[int, int], side: tuple[int, int], overlap: int) -> list[Window]:
@@ -270,6 +276,17 @@ def _other(image: ArrayLike | None, name: str, size: tuple[int, int]) -> Array |
     if other.shape[:2] != size:
         raise ValueError(f"{name} must have the image's size {size}, got {other.shape[:2]}")
     return other
+
+
+def _agreed(
+    pair: tuple[ArrayLike, ArrayLike] | None, name: str, size: tuple[int, int]
+) -> tuple[Array | None, Array | None]:
+    """A pair of what `Integrator.coherence` returns, checked."""
+    if pair is None:
+        return None, None
+    if len(pair) != 2:
+        raise ValueError(f"{name} must be a pair (image, coherence), got {len(pair)} parts")
+    return _other(pair[0], f"{name}[0]", size), _map(pair[1], f"{name}[1]", size)
 
 
 def _map(values: ArrayLike | None, name: str, size: tuple[int, int]) -> Array | None:

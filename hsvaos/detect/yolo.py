@@ -143,6 +143,7 @@ class Detector:
         plain: ArrayLike | None = None,
         coherence: tuple[ArrayLike, ArrayLike] | None = None,
         fragments: ArrayLike | None = None,
+        fragment_coherence: tuple[ArrayLike, ArrayLike] | None = None,
         gsd_m: float | None = None,
     ) -> Detections:
         """Find the people in one view.
@@ -158,6 +159,8 @@ class Detector:
             coherence: What `Integrator.coherence` returns, for our own networks.
             fragments: Shape (H, W), mean evidence of pieces of people over the rays (see
                 `FragmentNet`), for our own network of colour images.
+            fragment_coherence: What `Integrator.coherence` returns for photos weighed by that
+                evidence, for our own network of colour images.
             gsd_m: Ground sampling distance [m/px]. Our own networks take 0.045 to 0.09, of grey
                 images 0.07 to 0.146: beyond that the view is resampled. By default it is taken as
                 it is.
@@ -176,6 +179,7 @@ class Detector:
             plains=None if plain is None else [plain],
             coherences=None if coherence is None else [coherence],
             fragments=None if fragments is None else [fragments],
+            fragment_coherences=None if fragment_coherence is None else [fragment_coherence],
             gsd_m=gsd_m,
         )[0]
 
@@ -188,6 +192,7 @@ class Detector:
         plains: Sequence[ArrayLike | None] | None = None,
         coherences: Sequence[tuple[ArrayLike, ArrayLike] | None] | None = None,
         fragments: Sequence[ArrayLike | None] | None = None,
+        fragment_coherences: Sequence[tuple[ArrayLike, ArrayLike] | None] | None = None,
         gsd_m: float | Sequence[float | None] | None = None,
     ) -> list[Detections]:
         """Find the people in several views, several at a time where the network allows it.
@@ -199,6 +204,7 @@ class Detector:
             plains: One a view, or None.
             coherences: One pair a view, or None.
             fragments: One a view, or None.
+            fragment_coherences: One pair a view, or None.
             gsd_m: For all views, or one a view [m/px].
 
         Returns:
@@ -216,6 +222,7 @@ class Detector:
             _one_each(plains, count, "plains"),
             _one_each(coherences, count, "coherences"),
             _one_each(fragments, count, "fragments"),
+            _one_each(fragment_coherences, count, "fragment_coherences"),
         )
         many = isinstance(gsd_m, Sequence | np.ndarray) and not isinstance(gsd_m, str)
         distances = _one_each(gsd_m if many else [gsd_m] * count, count, "gsd_m")

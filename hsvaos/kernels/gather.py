@@ -126,7 +126,7 @@ class PlacedPhotos:
 
     Args:
         stack: The photos.
-        weights: Warp array (N or 1, H * W), uint8 or float32.
+        weights: Warp array (N or 1, H * W), uint8, uint16 or float32.
         weight_unit: Weight of 1 in that array; 0 if all pixels have the weight 1.
         lens: Lens of their camera.
         poses: Warp array (N) of `Pose`, relative to the points' origin.

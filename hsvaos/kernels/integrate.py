@@ -39,6 +39,8 @@ _NO_LIMIT = 1e15
 
 _NOT_YET = object()
 
+_WEIGHTS = "bool, uint8, uint16 or float32"
+
 _MANY_PLANES = 8
 """Planes as large as the photos from which on these are worth another copy in a faster form."""
 
@@ -59,8 +61,8 @@ class Integrator:
             or `__cuda_array_interface__`. Nothing is copied that already lies on the device.
         world_from_camera: Shape (N, 4, 4), pose of each photo, world NED [m].
         weights: Shape (N, H, W), or (H, W) for all photos, how much each pixel counts: uint8 (255 =
-            weight 1; or a mask of only 0 and 1), bool or float32 (not negative); None for 1
-            everywhere.
+            weight 1; or a mask of only 0 and 1), uint16 (65535 = weight 1), bool or float32 (not
+            negative); None for 1 everywhere.
         device: "cpu", "cuda:0", ...; by default where the images lie.
         gains: Shape (N, 3), factors on R, G and B of each photo (the first one on grey); see
             `kernels.levels`; None for the photos as they are.
@@ -123,8 +125,8 @@ class Integrator:
         if weights is None:
             return wp.empty((1, 1), dtype=wp.uint8, device=self.device), 0.0
         host = isinstance(weights, np.ndarray)
-        if host and weights.dtype.name not in ("bool", "uint8", "float32"):
-            raise TypeError(f"weights must be bool, uint8 or float32, got {weights.dtype.name}")
+        if host and weights.dtype.name not in ("bool", "uint8", "uint16", "float32"):
+            raise TypeError(f"weights must be {_WEIGHTS}, got {weights.dtype.name}")
         if host and weights.dtype.kind == "f" and not (weights >= 0.0).all():
             raise ValueError("weights must not be negative or NaN")
         array = to_array(weights, self.device, "weights")
@@ -132,9 +134,11 @@ class Integrator:
         size = (stack.height, stack.width)
         if shape not in (size, (stack.count, *size)):
             raise ValueError(f"weights must have shape {(stack.count, *size)}, got {shape}")
-        if array.dtype not in (wp.uint8, wp.float32):
-            raise TypeError(f"weights must be uint8 or float32, got {array.dtype.__name__}")
+        if array.dtype not in (wp.uint8, wp.uint16, wp.float32):
+            raise TypeError(f"weights must be {_WEIGHTS}, got {array.dtype.__name__}")
         rows = pixel_view(array, array.dtype, (array.size // stack.size, stack.size))
+        if array.dtype is wp.uint16:
+            return rows, 1.0 / 65535.0
         bytes_of_weight = array.dtype is wp.uint8 and not is_binary(rows)
         return rows, 1.0 / 255.0 if bytes_of_weight else 1.0
 

@@ -161,7 +161,7 @@ def pack(stack: Stack, weights: Any, weight_unit: float) -> Packed | None:
 
     Args:
         stack: The photos, on the CPU.
-        weights: Warp array (N or 1, H * W), uint8 or float32.
+        weights: Warp array (N or 1, H * W), uint8, uint16 or float32.
         weight_unit: Weight of 1 in that array; 0 if all pixels have the weight 1.
 
     Returns:
@@ -360,8 +360,9 @@ def _weight_scale(form: str, weights: Any, unit: float) -> tuple[float, float] |
     if unit == 0.0:
         return 1.0, stored
     rows = [weights[i].numpy() for i in range(weights.shape[0])]
-    top = max(float(row.max()) for row in rows)
-    least = min(float(np.min(row, initial=np.inf, where=row != 0.0)) for row in rows)
+    top = max(row.max() for row in rows)
+    least = float(min(np.min(row, initial=top, where=row != 0.0) for row in rows))
+    top = float(top)
     if top == 0.0:
         return 1.0, stored
     if not (np.isfinite(top) and least >= _LEAST_WEIGHT * top):

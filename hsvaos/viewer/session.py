@@ -246,8 +246,8 @@ class Session:
                 self._finder = make_finder(settings.detect, len(self.flight))
             finder = self._finder
             if finder is not None and finder.looks_at_photos and self.photos.is_colour:
-                pieces = self.weights.fragments(request.mask, self._gsd_m, wanted, progress)
-                by = replace(by, fragments=pieces)
+                asked = (request.mask, self._gsd_m, wanted, progress)
+                by = by.with_evidence(self.weights.fragments(*asked))
             renderer = Renderer(by, settings, surface, finder)
             result, places = renderer.render(name, self.flight.view(index))
             found = _on_surface(result, places.places, surface)

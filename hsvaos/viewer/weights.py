@@ -26,7 +26,7 @@ from hsvaos.masking import (
 )
 from hsvaos.photos import Photos, Progress
 from hsvaos.rarity_model import RarityModel
-from hsvaos.rendering import Integrators, evidence_integrator, hue_integrator
+from hsvaos.rendering import Integrators, evidence_integrators, hue_integrator
 from hsvaos.settings import MaskSettings, Settings
 
 KINDS = ("plain", "hue", "rarity", "rarity_map", "anomaly", "anomaly_map")
@@ -91,7 +91,7 @@ class WeightCache:
         self._layers: dict[str, tuple[Any, tuple[Any, Any]]] = {}
         self._looking = threading.Lock()
         self._evidence: tuple[Any, list[NDArray[np.uint16]]] | None = None
-        self._fragments: tuple[Any, Integrator] | None = None
+        self._fragments: tuple[Any, tuple[Integrator, Integrator]] | None = None
         pixels = int(np.prod(photos.images.shape[:3]))
         self._kept = max(1, min(_MOST_KEPT, _CACHE_BYTES // (_BYTES_A_PIXEL * pixels)))
 
@@ -190,7 +190,7 @@ class WeightCache:
             return self._part[kind][1]
 
     def integrators(self, mask: MaskSettings, wanted: Wanted = lambda: True) -> Integrators:
-        """Return all integrators that `hsvaos.rendering.Renderer` asks for, less `fragments`."""
+        """Return the integrators that `hsvaos.rendering.Renderer` asks for, without fragments."""
         hue = self.integrator("hue", mask, wanted) if self.photos.is_colour else None
         odd = None
         if "anomaly" in (mask.method, self._settings.detect.method):
@@ -210,8 +210,8 @@ class WeightCache:
         gsd_m: float | None,
         wanted: Wanted = lambda: True,
         progress: Progress | None = None,
-    ) -> Integrator:
-        """Return the integrator of what the fragment network sees in each photo.
+    ) -> tuple[Integrator, Integrator]:
+        """Return the integrators of what the fragment network sees in each photo.
 
         The first time takes seconds; what is abandoned is gone on with where it was.
 
@@ -240,7 +240,8 @@ class WeightCache:
                 seen.append(net.of_photo(inputs(index), gsd_m))
                 if progress is not None:
                     progress("looking for pieces of people", index + 1, count)
-            self._fragments = (key, evidence_integrator(self.photos, np.stack(seen)))
+            made = evidence_integrators(self.photos, np.stack(seen), self.gains)
+            self._fragments = (key, made)
             self._evidence = None
             return self._fragments[1]
 

@@ -1,22 +1,24 @@
 """Pieces of people in single photos: the network's input, and what it says of them."""
 
 import json
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import warp as wp
 
-from hsvaos import reference
+from hsvaos import Camera, Flight, VirtualCamera, reference
 from hsvaos.demo import demo_flight
 from hsvaos.detect.fragments import FRAGMENT_CHANNELS, FragmentNet, resampled
 from hsvaos.detect.yolo import PACKAGED
+from hsvaos.flight import Frame
 from hsvaos.fragment_input import FragmentInput, surprises
 from hsvaos.kernels.rarity import rarity_model
 from hsvaos.masking import make_masks
-from hsvaos.photos import load_photos, with_poses
+from hsvaos.photos import Photos, load_photos, with_poses
 from hsvaos.rarity_model import model_from_counts
-from hsvaos.rendering import fragment_integrator
+from hsvaos.rendering import evidence_integrators, fragment_integrators
 from hsvaos.settings import Settings
 from hsvaos.surface import FocalPlane
 from hsvaos.viewing import ground_grid
@@ -122,7 +124,7 @@ def test_evidence_adds_up_where_people_lie():
     flight = with_poses(demo_flight())
     photos = load_photos(flight, device="cpu")
     net = FragmentNet(provider="cpu")
-    pieces = fragment_integrator(photos, make_masks(photos, Settings()), net)
+    pieces, _ = fragment_integrators(photos, make_masks(photos, Settings()), net)
     surface = FocalPlane(photos.flight.ground_down_m or 0.0)
     view = ground_grid(photos.flight, surface, 0.05)
     image, rays = (np.asarray(part.numpy()) for part in pieces.integrate(view, surface))
@@ -137,3 +139,37 @@ def test_evidence_adds_up_where_people_lie():
         # of the one the photos see 2 %
         most = {"half": 1e-4, "full": 0.01}[person["occlusion"]]
         assert (ground > near.max()).mean() < most
+
+
+def test_photos_are_weighed_by_what_is_seen_in_them():
+    """Two rays of three show one colour with evidence, one another; a fourth has no evidence."""
+    count, size = 4, 16
+    colours = np.array([[200, 40, 40], [200, 40, 40], [40, 40, 200], [90, 90, 90]], np.uint8)
+    images = np.ascontiguousarray(np.broadcast_to(colours[:, None, None], (count, size, size, 3)))
+    pose = np.eye(4)
+    pose[2, 3] = -20.0
+    camera = Camera.from_fov(size, size, 60.0)
+    frames = tuple(Frame(f"{k}", Path(f"{k}.png"), pose) for k in range(count))
+    held = wp.array(images, dtype=wp.uint8)
+    photos = Photos(Flight("drawn", camera, frames), held, None, ())
+    evidence = np.full((count, size, size), 6554, np.uint16)
+    evidence[3] = 0
+    shown, pieces = evidence_integrators(photos, evidence, None)
+    view, ground = VirtualCamera.ortho(1.0, -1.0, 0.2, 8, 8), FocalPlane(0.0)
+    mean, rays = shown.integrate(view, ground)
+    assert mean.numpy() == pytest.approx(0.075 * 65535.0, rel=1e-2)
+    assert rays.numpy() == pytest.approx(4.0)
+    colour, much = pieces.coherence(view, ground)
+    assert colour.numpy()[4, 4] == pytest.approx([200.0, 40.0, 40.0], abs=1.0)
+    assert much.numpy() == pytest.approx(np.sqrt(0.1 * 0.2 / 4.0), rel=1e-2)
+    # what the user masks is no ray; evidence of resampled photos is brought to their size
+    part = Photos(photos.flight, held, np.zeros((size, size), np.uint8), ())
+    part.valid[:, : size // 2] = 255
+    halves = evidence_integrators(part, evidence[:, ::2, ::2].copy(), None)
+    for integrator in halves:
+        south, north = (
+            integrator.coherence(VirtualCamera.ortho(top, -1.0, 0.2, 8, 8), ground)[1].numpy()
+            for top in (-2.0, 4.0)
+        )
+        assert (north == 0.0).all()
+        assert (south > 0.0).all()

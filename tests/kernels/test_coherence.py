@@ -34,6 +34,8 @@ def test_coherence_equals_twin(
         weights = rng.integers(2, 256, (count, 28, 36), dtype=np.uint8)
         weights[rng.random(weights.shape) < 0.4] = 2  # below what counts
         weights[rng.random(weights.shape) < 0.1] = 0
+        if rng.random() < 0.5:
+            weights = weights.astype(np.uint16) * np.uint16(257)
     gains = None if rng.random() < 0.5 else rng.uniform(0.8, 1.2, (count, 3))
     view = VirtualCamera.ortho(4.0, -4.0, 0.7, 12, 11)
     surface = FocalPlane(float(rng.uniform(-1.0, 1.0)))

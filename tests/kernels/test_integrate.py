@@ -58,7 +58,10 @@ def test_integral_equals_twin(
     weights = None
     if weighted:
         weights = rng.integers(0, 256, (count, 28, 36), dtype=np.uint8)
-        if rng.random() < 0.5:
+        form = rng.choice(["uint8", "uint16", "float32"])
+        if form == "uint16":
+            weights = rng.integers(0, 65536, weights.shape, dtype=np.uint16)
+        elif form == "float32":
             weights = (weights / 100.0).astype(np.float32)
     view, surface = random_view(rng), random_surface(rng)
     aperture = None if rng.random() < 0.5 else rng.uniform(2, 10)

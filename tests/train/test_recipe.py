@@ -18,6 +18,8 @@ from train.maps import (  # noqa: E402
     COHERENCE,
     COHERENT,
     CONDITIONS,
+    FRAGMENT_COHERENCE,
+    FRAGMENT_COLOUR,
     FRAGMENTS,
     HUE_FOOTPRINT,
     LAYERS,
@@ -30,22 +32,23 @@ from train.maps import (  # noqa: E402
 )
 from train.net import STRIDE, Exported, PersonNet, boxes_of, cell_centres  # noqa: E402
 from train.samples import CROP_PX, Sample, visit  # noqa: E402
-from train.warm import unfolded  # noqa: E402
+from train.warm import blended, unfolded  # noqa: E402
 
 
 def drawn_map(path, people=6, seed=0, side=420):
     rng = np.random.default_rng(seed)
     layers = rng.normal(90.0, 6.0, (LAYERS, side, side)).astype(np.float32)
-    for one in (RARITY_MAP, COHERENCE, FRAGMENTS):
+    shares = (RARITY_MAP, COHERENCE, FRAGMENTS, FRAGMENT_COHERENCE)
+    for one in shares:
         layers[one] = np.abs(rng.normal(0.02, 0.005, (side, side)))
     layers[RAYS] = 30.0
     layers[HUE_FOOTPRINT] = 5.0
     corners = rng.uniform(40, side - 80, (people, 2)).round()
     boxes = np.concatenate([corners, corners + rng.uniform(14, 36, (people, 2)).round()], axis=1)
     for x0, y0, x1, y1 in boxes.astype(int):
-        for one in (*PLANES.values(), COHERENT):
+        for one in (*PLANES.values(), COHERENT, FRAGMENT_COLOUR):
             layers[one, y0:y1, x0:x1] += 40.0
-        for one in (RARITY_MAP, COHERENCE, FRAGMENTS):
+        for one in shares:
             layers[one, y0:y1, x0:x1] += 0.2
     rays = np.full(people, 5.0)
     rays[0] = 0.1
@@ -191,6 +194,28 @@ def test_an_older_network_comes_back_blind_to_newer_channels(tmp_path):
         want, have = older(batch[:, :-1]), back(batch)
     for ours, theirs in zip(have, want, strict=True):
         assert np.allclose(ours, theirs, rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.35, 1.0])
+def test_a_network_lies_between_what_it_was_and_what_it_became(tmp_path, share):
+    torch.manual_seed(5)
+    before, after = PersonNet(), PersonNet()
+    batch = torch.randn(2, len(CHANNELS), 64, 64)
+    with torch.no_grad():
+        for net in (before, after):
+            for _ in range(3):
+                net(batch)
+            net.score.bias.normal_(0.0, 1.0)
+            net.eval()
+    export(before, tmp_path / "before.onnx", 0.5, {})
+    mixed = blended(after, tmp_path / "before.onnx", share).eval()
+    bias = torch.lerp(after.score.bias, before.score.bias, share)
+    assert torch.allclose(mixed.score.bias, bias, atol=1e-5)
+    with torch.no_grad():
+        outputs = [net(batch) for net in (mixed, before, after)]
+    for whole, first, last in zip(*outputs, strict=True):
+        assert torch.allclose(whole, first, rtol=1e-3, atol=1e-3) == (share == 1.0)
+        assert torch.allclose(whole, last, rtol=1e-3, atol=1e-3) == (share == 0.0)
 
 
 def test_a_file_of_another_network_is_not_brought_back(tmp_path):
