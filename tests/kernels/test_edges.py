@@ -93,7 +93,7 @@ def test_what_is_no_image_and_no_weight_is_refused() -> None:
         Integrator(CAMERA, np.zeros((20, 30, 3), np.uint8), [POSE])
     with pytest.raises(ValueError, match="negative or NaN"):
         Integrator(CAMERA, images, [POSE] * 2, np.full((2, 12, 16), -0.5, np.float32))
-    with pytest.raises(TypeError, match="weights must be bool, uint8 or float32, got float64"):
+    with pytest.raises(TypeError, match="uint8, uint16 or float32, got float64"):
         Integrator(CAMERA, images, [POSE] * 2, np.ones((2, 12, 16)))
     integrator = Integrator(CAMERA, images, [POSE] * 2)
     with pytest.raises(TypeError, match="view must be a VirtualCamera"):
