@@ -101,6 +101,7 @@ def methods(coco: Path | None = None) -> dict[str, Method]:
         coherence: bool = True,
         fragments: bool = True,
         agreeing: bool = True,
+        ground: bool = True,
     ) -> Callable[[Layers], Detections]:
         def find(layers: Layers) -> Detections:
             rare, count = layers["rarity_map"]
@@ -112,6 +113,7 @@ def methods(coco: Path | None = None) -> dict[str, Method]:
                 coherence=layers["coherence"] if coherence else None,
                 fragments=layers["fragments"][0][..., 0] if fragments else None,
                 fragment_coherence=layers["fragment_coherence"] if fragments and agreeing else None,
+                ground=layers["ground"] if fragments and ground else None,
             )
 
         return find
@@ -130,6 +132,7 @@ def methods(coco: Path | None = None) -> dict[str, Method]:
         return {
             "COCO network, AOS": Method(find("plain"), score),
             "COCO network, HSV-AOS": Method(find("hue"), score),
+            "COCO network, ground": Method(find("ground"), score),
         }
 
     both = ("true", "ekf")
@@ -138,13 +141,15 @@ def methods(coco: Path | None = None) -> dict[str, Method]:
         "HSV-AOS": Method(image("hue"), score, both, True),
         "hsvaos": Method(everything(), score, both, True),
         "hue, not brightened": Method(image("hue_dark"), score),
+        "ground image": Method(image("ground"), score),
         "rarity image": Method(image("rarity"), score),
         "rarity x hue image": Method(image("rarity_hue"), score),
         "all but rays": Method(everything(rays=False), score),
         "all but rarity map": Method(everything(rarity=False), score),
         "all but coherence": Method(everything(coherence=False), score),
-        "all but fragments": Method(everything(fragments=False), score),
+        "all but fragments and ground": Method(everything(fragments=False), score),
         "all but fragment colours": Method(everything(agreeing=False), score),
+        "all but ground": Method(everything(ground=False), score),
         "peaks of rarity": Method(of_peaks("rarity_map"), peaks.min_z),
         "peaks of RX": Method(of_peaks("anomaly_map"), peaks.min_z),
         **({} if coco is None else of_coco()),
@@ -157,8 +162,7 @@ def integrators(photos: Photos, ablation: bool) -> dict[str, Integrator]:
     masks = make_masks(photos, settings)
     by = make_integrators(photos, masks, "hue")
     found = {"plain": by.plain, "rarity": by.rarity, "rarity_map": by.rarity_map}
-    pieces = fragment_integrators(photos, masks, FragmentNet())
-    found["fragments"], found["pieces"] = pieces
+    found |= fragment_integrators(photos, masks, FragmentNet())._asdict()
     if by.hue is not None:
         found["hue"] = by.hue
     if ablation and by.anomaly_map is not None:

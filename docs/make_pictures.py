@@ -12,7 +12,14 @@ import numpy as np
 
 import hsvaos
 from hsvaos.demo import demo_flight
-from hsvaos.report.figures import colour_map, encode, photo_picture, rarity_limits, stretch
+from hsvaos.report.figures import (
+    colour_map,
+    encode,
+    of_ground,
+    photo_picture,
+    shining_limits,
+    stretch,
+)
 
 SIDE = 360
 HERE = Path(__file__).parent
@@ -30,10 +37,12 @@ def main() -> None:
     result = hsvaos.run(demo_flight())
     view = result.main
     seen = view.rays > 0
-    low, high = rarity_limits(view.rarity_map, seen)
+    low, high = shining_limits(view.rarity_map, seen)
+    ground, of_it = view.extra["ground"]
     pictures = [
         photo_picture(result.photo),
         stretch(view.integral, view.footprint),
+        stretch(ground, of_ground(of_it)),
         colour_map(view.rarity_map, seen, low, high, "inferno"),
     ]
     margin = ((0, 0), (4, 4), (0, 0))

@@ -8,6 +8,7 @@ from typing import Any
 
 from hsvaos.detect.anomaly import find_persons
 from hsvaos.detect.detections import Detections
+from hsvaos.detect.network_input import PHOTO_LAYERS
 from hsvaos.settings import DetectSettings
 
 
@@ -17,8 +18,8 @@ class Finder:
 
     Args:
         layers: Names of the layers it looks at: "plain", "chosen", "rarity", "rarity_map",
-            "anomaly_map", "coherence", "fragments", "fragment_coherence"; the last two where there
-            are some.
+            "anomaly_map", "coherence", "fragments", "fragment_coherence", "ground"; the last three
+            where there are some.
         least_score: Score below which a person, seen over all views, is left out.
         find: Called with layers by name, each (image, footprint), and the ground sampling distance
             [m/px].
@@ -31,7 +32,7 @@ class Finder:
     @property
     def looks_at_photos(self) -> bool:
         """Whether every colour photo is to be looked at for pieces of people."""
-        return "fragments" in self.layers
+        return not PHOTO_LAYERS.keys().isdisjoint(self.layers)
 
     def __call__(self, layers: Mapping[str, Any], gsd_m: float) -> Detections:
         """Return the finds of a view.
@@ -109,6 +110,7 @@ def _network_finder(settings: DetectSettings) -> Finder:
             coherence=layers["coherence"],
             fragments=layers["fragments"][0][..., 0] if "fragments" in layers else None,
             fragment_coherence=layers.get("fragment_coherence"),
+            ground=layers.get("ground"),
             gsd_m=gsd_m,
         )
         return best(found)
@@ -116,6 +118,6 @@ def _network_finder(settings: DetectSettings) -> Finder:
     if settings.inputs == "image" or detector.layout != "hsvaos":
         return Finder(("chosen",), least, find_in_image)
     looked_at: tuple[str, ...] = ("rarity_map", "rarity", "plain", "coherence")
-    if settings.inputs == "all" and detector.sees_fragments:
-        looked_at = (*looked_at, "fragments", "fragment_coherence")
+    if settings.inputs == "all":
+        looked_at = (*looked_at, *detector.photo_layers)
     return Finder(looked_at, least, find_in_all)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from hsvaos.camera import VirtualCamera
 from hsvaos.detect.detections import Detections
-from hsvaos.detect.fragments import ONE, FragmentNet
+from hsvaos.detect.fragments import ONE, FragmentNet, PhotoEvidence
 from hsvaos.detect.locate import ViewFinds, box_places, pose_spread
+from hsvaos.detect.network_input import PHOTO_LAYERS
 from hsvaos.finding import Finder
 from hsvaos.flight import Flight, FlightError
 from hsvaos.fragment_input import FragmentInput
@@ -26,6 +27,20 @@ from hsvaos.photos import Photos, Progress, resized
 from hsvaos.result import ViewResult
 from hsvaos.settings import Settings
 from hsvaos.surface import FocalSurface
+
+
+class EvidenceIntegrators(NamedTuple):
+    """What a network said of every photo, ready to be integrated.
+
+    Attributes:
+        fragments: Evidence of pieces of people, integrated as an image.
+        pieces: The photos weighed by that evidence.
+        ground: The photos weighed by how likely each pixel shows the ground.
+    """
+
+    fragments: Integrator
+    pieces: Integrator
+    ground: Integrator
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +56,7 @@ class Integrators:
         anomaly_map: The RX masks integrated as an image; None unless they were made.
         fragments: Evidence of pieces of people, integrated as an image; None unless it was made.
         pieces: Weighed by that evidence; None unless it was made.
+        ground: Weighed by how likely each pixel shows the ground; None unless it was made.
     """
 
     plain: Integrator
@@ -51,10 +67,11 @@ class Integrators:
     anomaly_map: Integrator | None = None
     fragments: Integrator | None = None
     pieces: Integrator | None = None
+    ground: Integrator | None = None
 
-    def with_evidence(self, integrators: tuple[Integrator, Integrator]) -> Integrators:
-        """Return them with `fragments` and `pieces`, as `evidence_integrators` makes these."""
-        return replace(self, fragments=integrators[0], pieces=integrators[1])
+    def with_evidence(self, made: EvidenceIntegrators) -> Integrators:
+        """Return them with what `evidence_integrators` makes."""
+        return replace(self, **made._asdict())
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +152,7 @@ class Renderer:
         looked_at = self.finder.layers if self.finder is not None else ()
         left_out = {"rarity_map", "chosen"}
         if self.by.fragments is None:
-            left_out |= {"fragments", "fragment_coherence"}
+            left_out |= PHOTO_LAYERS.keys()
         return ("rarity_map", "chosen", *(n for n in looked_at if n not in left_out))
 
     def _layers(
@@ -158,7 +175,7 @@ class Renderer:
     def _others(self, view: VirtualCamera) -> dict[str, tuple[Any, Any]]:
         return {
             name: self._integrate(name, view)
-            for name in ("plain", "hue", "rarity")
+            for name in ("plain", "hue", "rarity", "ground")
             if getattr(self.by, name) not in (None, self.by.chosen)
         }
 
@@ -209,8 +226,8 @@ def fragment_integrators(
     net: FragmentNet,
     gsd_m: float | None = None,
     progress: Progress | None = None,
-) -> tuple[Integrator, Integrator]:
-    """Return the integrators of what every photo says of pieces of people.
+) -> EvidenceIntegrators:
+    """Return the integrators of what every photo says of the ground, and of pieces of people.
 
     Args:
         photos: Colour photos.
@@ -232,34 +249,42 @@ def fragment_integrators(
 
 
 def evidence_integrators(
-    photos: Photos, evidence: NDArray[np.uint16], gains: NDArray[np.float64] | None
-) -> tuple[Integrator, Integrator]:
+    photos: Photos, evidence: PhotoEvidence, gains: NDArray[np.float64] | None
+) -> EvidenceIntegrators:
     """Return the integrators of what a network said of every photo.
 
     Args:
         photos: The photos.
-        evidence: Shape (N, h, w), uint16, of the photos' size or resampled from it.
+        evidence: Of every photo, in its size or resampled from it.
         gains: Shape (N, 3), factors that level the photos; None for none.
-
-    Returns:
-        That of the evidence as an image, and that of the photos weighed by it.
     """
-    height, width = evidence.shape[1:]
+    people = evidence.people
     flight, valid, device = photos.flight, photos.valid, photos.images.device
     camera = flight.camera
+
+    def weighed(weights: Any) -> Integrator:
+        return Integrator(camera, photos.images, flight.poses, weights, gains=gains)
+
     # no evidence is no lack of a ray: that is what 0 would mean as a weight
-    weights = np.maximum(evidence, np.uint16(1))
-    if (width, height) != (camera.width, camera.height):
-        weights = np.stack([resized(one, camera.width, camera.height) for one in weights])
-    if valid is not None:
-        weights[np.broadcast_to(valid == 0, weights.shape)] = 0
+    weights = _as_weights(np.maximum(people, np.uint16(1)), photos)
     on_device: Any = wp.array(weights, dtype=wp.uint16, device=device)
-    pieces = Integrator(camera, photos.images, flight.poses, on_device, gains=gains)
-    if weights.shape != evidence.shape:
+    pieces = weighed(on_device)
+    ground = weighed(wp.array(_as_weights(evidence.ground, photos), dtype=wp.uint8, device=device))
+    if weights.shape != people.shape:
+        height, width = people.shape[1:]
         camera = camera.scaled(width, height)
         valid = None if valid is None else _resized_masks(valid, width, height)
-        on_device = wp.array(evidence, dtype=wp.uint16, device=device)
-    return Integrator(camera, on_device, flight.poses, valid), pieces
+        on_device = wp.array(people, dtype=wp.uint16, device=device)
+    shown = Integrator(camera, on_device, flight.poses, valid)
+    return EvidenceIntegrators(shown, pieces, ground)
+
+
+def _as_weights(said: NDArray[Any], photos: Photos) -> NDArray[Any]:
+    """Return what was said of photos in their size, 0 where the user masks them; not its own."""
+    camera, valid = photos.flight.camera, photos.valid
+    if said.shape[1:] != (camera.height, camera.width):
+        said = np.stack([resized(one, camera.width, camera.height) for one in said])
+    return said if valid is None else np.where(valid == 0, said.dtype.type(0), said)
 
 
 def _resized_masks(valid: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:

@@ -30,8 +30,8 @@ class ViewResult:
         rarity_map: Shape (H, W), float32, mean rarity weight over the rays, 0..1; or None.
         rays: Shape (H, W), float32, number of valid rays a pixel, without the colour mask; or None.
         detections: What was found in this view.
-        extra: Further integral images by name ("plain", "hue", "rarity", "anomaly") with their
-            footprints, for the main view only.
+        extra: Further integral images by name ("plain", "hue", "rarity", "anomaly", "ground") with
+            their footprints, for the main view only.
         fragment_map: Shape (H, W), float32, mean evidence of pieces of people over the rays, 0..1,
             see `hsvaos.detect.fragments`; None where the photos were not looked into.
     """

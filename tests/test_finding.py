@@ -8,12 +8,13 @@ from hsvaos.settings import DetectSettings
 
 pytest.importorskip("onnx", reason="needs pip install 'hsvaos[test]'")
 
-from hsvaos.detect.network_input import CHANNELS
+from hsvaos.detect.network_input import CHANNELS, photo_layers
 from tests.detect.nets import own_net
 
 SIZE = (160, 192)
 ALL_LAYERS = {
-    *("rarity", "plain", "rarity_map", "coherence", "fragments", "fragment_coherence"),
+    *("rarity", "plain", "rarity_map", "coherence"),
+    *("fragments", "fragment_coherence", "ground"),
 }
 
 
@@ -56,6 +57,7 @@ def settings(**values):
 def test_the_network_sees_everything(red_net, channel, layer):
     finder = make_finder(settings(model=red_net(channel)), 30)
     assert set(finder.layers) == ALL_LAYERS
+    assert finder.looks_at_photos
     shown = layers()
     assert len(finder(shown, 0.05)) == 0
     shown[layer][0][64:80, 96:112, 0] *= 3.0
@@ -89,6 +91,19 @@ def test_the_network_sees_the_colours_of_fragments(red_net):
     assert found.boxes_xyxy[0] == pytest.approx([95.5, 63.5, 111.5, 79.5], abs=1e-3)
 
 
+def test_the_network_sees_the_ground_as_if_nothing_stood_on_it(red_net):
+    finder = make_finder(settings(model=red_net("ground red-green")), 30)
+    shown = layers()
+    rng = np.random.default_rng(1)
+    colours = rng.normal(90.0, 9.0, (*SIZE, 3)).astype(np.float32)
+    shown["ground"] = (colours, np.full(SIZE, 6.0, np.float32))
+    assert len(finder(shown, 0.05)) == 0
+    colours[64:80, 96:112, 0] *= 3.0
+    found = finder(shown, 0.05)
+    assert len(found) == 1
+    assert found.boxes_xyxy[0] == pytest.approx([95.5, 63.5, 111.5, 79.5], abs=1e-3)
+
+
 def test_the_network_sees_fragments_where_there_are_some(red_net):
     path = red_net("fragments")
     finder = make_finder(settings(model=path), 30)
@@ -102,6 +117,13 @@ def test_the_network_sees_fragments_where_there_are_some(red_net):
     assert found.boxes_xyxy[0] == pytest.approx([95.5, 63.5, 111.5, 79.5], abs=1e-3)
     hurried = make_finder(settings(model=path, inputs="integrals"), 30)
     assert "fragments" not in hurried.layers
+
+
+def test_nothing_is_made_that_the_network_does_not_see():
+    assert photo_layers(CHANNELS) == ("fragments", "fragment_coherence", "ground")
+    assert photo_layers(CHANNELS[:19]) == ("fragments", "fragment_coherence")
+    assert photo_layers(("red", "ground rays")) == ("ground",)
+    assert photo_layers(CHANNELS[:14]) == ()
 
 
 def test_the_paper_shows_it_the_chosen_image_only(red_net):

@@ -29,6 +29,10 @@ from hsvaos.simulate.simulation import Photo, Simulation
 FIRST_TRAINING_SEED = 101_000
 FIRST_TUNING_SEED = 900_100
 
+ON_PERSON, ON_GROUND = 255, 128
+"""What labels say of a pixel."""
+
+_GROUND = [int(kind) for kind in (Kind.GROUND, Kind.LITTER, Kind.WOOD, Kind.STAKE)]
 _PEOPLE = 26
 _SEARCHED_FOR = 20
 _APART_M = 2.7
@@ -127,7 +131,7 @@ def _places(rng: np.random.Generator, half: np.ndarray) -> tuple[tuple[float, fl
 
 
 class Labelled(Simulation):
-    """A simulation that writes down which pixels of each photo show a person.
+    """A simulation that writes down which pixels of each photo show the ground, or a person on it.
 
     Attributes:
         labels: Folder of the labels, see `labels_of`.
@@ -138,14 +142,19 @@ class Labelled(Simulation):
     def photo(self, index: int) -> Photo:
         """Take a photo and write its label."""
         photo = super().photo(index)
-        shown = np.where(photo.kind == int(Kind.PERSON), np.uint8(255), np.uint8(0))
+        shown = np.zeros_like(photo.kind)
+        shown[np.isin(photo.kind, _GROUND)] = ON_GROUND
+        shown[photo.kind == int(Kind.PERSON)] = ON_PERSON
         name = Path(self.names()[index]).stem
         cv2.imwrite(str(self.labels / f"{name}.png"), shown)
         return photo
 
 
 def labels_of(flight: Path) -> Path:
-    """Return the folder of a training flight's labels: a PNG a photo, 255 where a person is.
+    """Return the folder of a training flight's labels: a PNG a photo.
+
+    Pixels are `ON_PERSON`, `ON_GROUND` (soil, litter, dead wood and what else lies there), or 0
+    (crowns, trunks and bushes).
 
     Args:
         flight: The flight's folder.

@@ -1,4 +1,4 @@
-"""Training crops of single photos, and which of their pixels show a person."""
+"""Training crops of single photos, and which of their pixels show a person or the ground."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from hsvaos.fragment_input import FragmentInput
 from hsvaos.masking import levelled
 from hsvaos.photos import load_photos
 from hsvaos.settings import Settings
-from train.flights import labels_of
+from train.flights import ON_GROUND, ON_PERSON, labels_of
 from train.maps import flight_truth, left_out_of, rarity_without
 
 SIDE_PX = 96
+_SHAPE = len(FRAGMENT_CHANNELS), SIDE_PX, SIDE_PX
 CROPS = 800
 """Of each flight."""
 
@@ -35,11 +36,12 @@ class FragmentCrops(NamedTuple):
 
     Attributes:
         inputs: Shape (N, 5, 96, 96), uint8; see `as_input`.
-        people: Shape (N, 96, 96), bool, pixels that show a person.
+        shown: Shape (N, 2, 96, 96), bool: pixels that show a person, and those that show the
+            ground or a person.
     """
 
     inputs: NDArray[np.uint8]
-    people: NDArray[np.bool_]
+    shown: NDArray[np.bool_]
 
 
 def as_input(crops: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -68,12 +70,13 @@ def make_crops(folder: Path, target: Path) -> None:
     count, height, width = photos.images.shape[:3]
     room = np.array([height - SIDE_PX, width - SIDE_PX])
     kept: list[NDArray[np.uint8]] = []
-    people: list[NDArray[np.bool_]] = []
+    shown: list[NDArray[np.bool_]] = []
     for index, frame in enumerate(flight.frames):
-        shown = cv2.imread(str(labels / f"{Path(frame.name).stem}.png"), cv2.IMREAD_UNCHANGED) > 0
+        label = cv2.imread(str(labels / f"{Path(frame.name).stem}.png"), cv2.IMREAD_UNCHANGED)
+        both = np.stack([label == ON_PERSON, label >= ON_GROUND])
         photo = np.rint((inputs(index) + _OFFSET) * _STEPS)
         whole = np.clip(photo, 0.0, 255.0).astype(np.uint8)
-        pieces = np.argwhere(shown)
+        pieces = np.argwhere(both[0])
         for _ in range(CROPS // count + 1):
             corner = rng.integers(0, room + 1)
             if len(pieces) and rng.uniform() < _AT_PEOPLE:
@@ -81,9 +84,9 @@ def make_crops(folder: Path, target: Path) -> None:
                 corner = piece - rng.integers(_MARGIN_PX, SIDE_PX - _MARGIN_PX, 2)
             y, x = np.clip(corner, 0, room) // 2 * 2
             kept.append(whole[:, y : y + SIDE_PX, x : x + SIDE_PX])
-            people.append(shown[y : y + SIDE_PX, x : x + SIDE_PX])
+            shown.append(both[:, y : y + SIDE_PX, x : x + SIDE_PX])
     part = target.with_suffix(".part.npz")
-    np.savez(part, inputs=np.stack(kept), people=np.packbits(np.stack(people), axis=-1))
+    np.savez(part, inputs=np.stack(kept), shown=np.packbits(np.stack(shown), axis=-1))
     part.replace(target)
 
 
@@ -94,8 +97,8 @@ def read_crops(path: Path) -> FragmentCrops:
         path: Written by `make_crops`.
     """
     with np.load(path) as data:
-        bits = np.unpackbits(data["people"], axis=-1, count=SIDE_PX)
+        if "shown" not in data or data["inputs"].shape[1:] != _SHAPE:
+            raise ValueError(f"{path}: expected crops {_SHAPE} and what they show, of this recipe")
+        bits = np.unpackbits(data["shown"], axis=-1, count=SIDE_PX)
         inputs = data["inputs"]
-    if inputs.shape[1:] != (len(FRAGMENT_CHANNELS), SIDE_PX, SIDE_PX):
-        raise ValueError(f"{path}: holds crops {inputs.shape[1:]}, of another recipe")
     return FragmentCrops(inputs, bits.astype(bool))

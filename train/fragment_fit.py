@@ -16,8 +16,11 @@ from train.fragment_net import FragmentModel
 
 BATCH = 48
 _RATE = 3e-3
-_SIDES = (64, 72, 80, 88, 104, 112, 120)
+_SIDES = (64, 80, 112, 128)
 """Half of the batches are scaled from 96 pixels to one of these."""
+
+_GROUND_SHARE = 0.1
+"""Of the ground's loss, which is ten times that of people: they are few pixels."""
 
 _COLUMNS = ("step", "seconds", "loss", "held_out")
 
@@ -100,7 +103,7 @@ def loss_on(net: FragmentModel, flights: list[FragmentCrops]) -> float:
         for crops in flights:
             for k in range(0, len(crops.inputs), BATCH):
                 x = torch.from_numpy(as_input(crops.inputs[k : k + BATCH]))
-                shown = torch.from_numpy(crops.people[k : k + BATCH].astype(np.float32))
+                shown = torch.from_numpy(crops.shown[k : k + BATCH].astype(np.float32))
                 sums += len(x) * float(_loss(net, x, shown))
                 count += len(x)
     return sums / max(count, 1)
@@ -108,19 +111,19 @@ def loss_on(net: FragmentModel, flights: list[FragmentCrops]) -> float:
 
 def _batch(flights: list[FragmentCrops], rng: np.random.Generator) -> tuple[Tensor, Tensor]:
     """Draw crops: turned, scaled, brighter or darker, rarer or more common."""
-    inputs, people = [], []
+    inputs, labels = [], []
     for _ in range(BATCH):
         crops = flights[rng.integers(len(flights))]
         k = rng.integers(len(crops.inputs))
-        x, shown = crops.inputs[k], crops.people[k]
+        x, shown = crops.inputs[k], crops.shown[k]
         if rng.uniform() < 0.5:
-            x, shown = x.transpose(0, 2, 1), shown.T
+            x, shown = x.transpose(0, 2, 1), shown.transpose(0, 2, 1)
         if rng.uniform() < 0.5:
-            x, shown = x[:, ::-1], shown[::-1]
+            x, shown = x[:, ::-1], shown[:, ::-1]
         if rng.uniform() < 0.5:
-            x, shown = x[:, :, ::-1], shown[:, ::-1]
+            x, shown = x[:, :, ::-1], shown[:, :, ::-1]
         inputs.append(x)
-        people.append(shown)
+        labels.append(shown)
     whole = as_input(np.stack(inputs))
     size = (BATCH, 1, 1, 1)
     light = 0.15 * rng.standard_normal(size) + 0.06 * rng.standard_normal((BATCH, 3, 1, 1))
@@ -129,7 +132,7 @@ def _batch(flights: list[FragmentCrops], rng: np.random.Generator) -> tuple[Tens
         0.15 * rng.standard_normal((BATCH, 2, 1, 1)),
     )
     x = torch.from_numpy(whole)
-    wanted = torch.from_numpy(np.stack(people).astype(np.float32))
+    wanted = torch.from_numpy(np.stack(labels).astype(np.float32))
     if rng.uniform() < 0.5:
         x, wanted = _scaled(x, wanted, int(rng.choice(_SIDES)))
     x[:, :3] += torch.from_numpy(light.astype(np.float32))
@@ -142,10 +145,12 @@ def _scaled(x: Tensor, wanted: Tensor, side: int) -> tuple[Tensor, Tensor]:
     assert side != SIDE_PX
     how = {"mode": "bilinear", "antialias": True, "align_corners": False}
     small = F.interpolate(x, (side, side), **how)  # type: ignore[arg-type]
-    return small, F.interpolate(wanted[:, None], (side, side), **how)[:, 0]  # type: ignore[arg-type]
+    return small, F.interpolate(wanted, (side, side), **how)  # type: ignore[arg-type]
 
 
 def _loss(net: FragmentModel, x: Tensor, wanted: Tensor) -> Tensor:
     with torch.autocast("cpu", dtype=torch.bfloat16, enabled=short_floats()):
-        logits = net(x)[:, 0]
-    return F.binary_cross_entropy_with_logits(logits.float(), wanted)
+        logits = net(x)
+    losses = F.binary_cross_entropy_with_logits(logits.float(), wanted, reduction="none")
+    person, ground = losses.mean(dim=(0, 2, 3))
+    return person + _GROUND_SHARE * ground

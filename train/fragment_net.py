@@ -1,4 +1,4 @@
-"""The fragment network: a shallow U of three levels over single photos, and its export."""
+"""The fragment network: a U of four levels over single photos, and its export."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from hsvaos.detect.fragments import FRAGMENT_CHANNELS
 from train.export import as_onnx
 from train.net import conv
 
-_WIDTHS = 16, 24, 32
-"""Channels at half, a quarter and an eighth of the photo's size."""
+_WIDTHS = 16, 24, 40, 56
+"""Channels at half, a quarter, an eighth and a sixteenth of the photo's size."""
 
 _SHIFT = 2.0
 """Evidence is log(1 + exp(logit + shift)) / span, from 0 to 1: weak hints of many rays count too,
@@ -23,28 +23,35 @@ _SPAN = 10.0
 
 
 class FragmentModel(nn.Module):
-    """Photos (B, 5, H, W) to logits (B, 1, H, W); H and W multiples of 8."""
+    """Photos (B, 5, H, W) to logits (B, 2, H, W) of person and ground; H and W multiples of 16."""
 
     def __init__(self) -> None:
         super().__init__()
-        half, quarter, eighth = _WIDTHS
+        half, quarter, eighth, sixteenth = _WIDTHS
         self.first = conv(4 * len(FRAGMENT_CHANNELS), half)
         self.down1 = nn.Sequential(conv(half, quarter, 3, 2), conv(quarter, quarter))
-        self.down2 = nn.Sequential(
-            conv(quarter, eighth, 3, 2), conv(eighth, eighth), conv(eighth, eighth)
+        self.down2 = nn.Sequential(conv(quarter, eighth, 3, 2), conv(eighth, eighth))
+        self.down3 = nn.Sequential(
+            conv(eighth, sixteenth, 3, 2),
+            conv(sixteenth, sixteenth),
+            conv(sixteenth, sixteenth),
         )
+        self.lift3 = conv(sixteenth, eighth, 1)
+        self.join2 = conv(eighth, eighth)
         self.lift2 = conv(eighth, quarter, 1)
         self.join1 = conv(quarter, quarter)
         self.lift1 = conv(quarter, half, 1)
         self.join0 = conv(half, half)
-        self.out = nn.Conv2d(half, 4, 1)
-        nn.init.constant_(self.out.bias, -3.0)
+        self.out = nn.Conv2d(half, 8, 1)
+        nn.init.constant_(self.out.bias[:4], -3.0)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Return logits of the share of people's pixels as in the training crops."""
+        """Return logits of the shares of pixels as in the training crops."""
         fine = self.first(F.pixel_unshuffle(x, 2))
         middle = self.down1(fine)
-        middle = self.join1(middle + _doubled(self.lift2(self.down2(middle))))
+        coarse = self.down2(middle)
+        coarse = self.join2(coarse + _doubled(self.lift3(self.down3(coarse))))
+        middle = self.join1(middle + _doubled(self.lift2(coarse)))
         fine = self.join0(fine + _doubled(self.lift1(middle)))
         return F.pixel_shuffle(self.out(fine), 2)
 
@@ -54,7 +61,7 @@ def _doubled(x: Tensor) -> Tensor:
 
 
 class Evidence(nn.Module):
-    """The network as it is shipped: photos to evidence (B, 1, H, W), 0 to 1.
+    """The network as it is shipped: photos to evidence and ground, (B, 1, H, W) each, 0 to 1.
 
     Args:
         model: The trained network.
@@ -64,9 +71,11 @@ class Evidence(nn.Module):
         super().__init__()
         self.model = model
 
-    def forward(self, x: Tensor) -> Tensor:
-        """Return the evidence of every pixel."""
-        return (F.softplus(self.model(x) + _SHIFT) / _SPAN).clamp(0.0, 1.0)
+    def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the evidence of every pixel, and how much it counts as one of the ground."""
+        person, ground = self.model(x).split(1, dim=1)
+        # squared: the many that are hardly likely to be ground would outweigh the few that are
+        return (F.softplus(person + _SHIFT) / _SPAN).clamp(0.0, 1.0), ground.sigmoid().square()
 
 
 def export_fragments(model: FragmentModel, path: Path, story: dict[str, object]) -> None:
@@ -84,4 +93,4 @@ def export_fragments(model: FragmentModel, path: Path, story: dict[str, object])
     }
     free = {0: "batch", 2: "height", 3: "width"}
     example = len(FRAGMENT_CHANNELS), 64, 96
-    as_onnx(Evidence(model).eval(), example, path, {"evidence": free}, facts)
+    as_onnx(Evidence(model).eval(), example, path, {"evidence": free, "ground": free}, facts)

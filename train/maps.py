@@ -35,13 +35,15 @@ from hsvaos.surface import FocalPlane
 
 PLANES = {"plain": slice(0, 3), "rarity": slice(3, 6), "hue": slice(6, 9)}
 """Where the three integral images lie in a map; then come rarity map, rays and hue footprint, the
-colours of the rays that agree, their coherence, the evidence of fragments, and the colours of the
-rays of fragments that agree, and their coherence."""
+colours of the rays that agree, their coherence, the evidence of fragments, the colours of the rays
+of fragments that agree, and their coherence; and the colours of the rays that come from the ground,
+and how many do."""
 
 RARITY_MAP, RAYS, HUE_FOOTPRINT = 9, 10, 11
 COHERENT, COHERENCE, FRAGMENTS = slice(12, 15), 15, 16
 FRAGMENT_COLOUR, FRAGMENT_COHERENCE = slice(17, 20), 20
-LAYERS = 21
+GROUND, GROUND_RAYS = slice(21, 24), 24
+LAYERS = 25
 
 CONDITIONS = 4
 """Maps of each training flight."""
@@ -295,17 +297,20 @@ def _layers(
     if by.fragments is not None and by.pieces is not None:
         layers[FRAGMENTS] = integral(by.fragments)[0][..., 0]
         layers[FRAGMENT_COLOUR], layers[FRAGMENT_COHERENCE] = agreed(by.pieces)
+    if by.ground is not None:
+        picture, layers[GROUND_RAYS] = integral(by.ground)
+        layers[GROUND] = np.moveaxis(picture, 2, 0)
     return layers
 
 
 def agreed_in(
     layers: NDArray[np.float32], colours: slice, coherence: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return mean colours and coherence of a map as `network_input` takes them.
+    """Return mean colours of a map, and their coherence or rays, as `network_input` takes them.
 
     Args:
-        layers: Shape (21, H, W).
-        colours: `COHERENT` or `FRAGMENT_COLOUR`.
-        coherence: `COHERENCE` or `FRAGMENT_COHERENCE`.
+        layers: Shape (25, H, W).
+        colours: `COHERENT`, `FRAGMENT_COLOUR` or `GROUND`.
+        coherence: `COHERENCE`, `FRAGMENT_COHERENCE` or `GROUND_RAYS`.
     """
     return np.moveaxis(layers[colours], 0, 2), layers[coherence]

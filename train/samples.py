@@ -17,6 +17,8 @@ from train.maps import (
     FRAGMENT_COHERENCE,
     FRAGMENT_COLOUR,
     FRAGMENTS,
+    GROUND,
+    GROUND_RAYS,
     HUE_FOOTPRINT,
     PLANES,
     RARITY_MAP,
@@ -34,6 +36,7 @@ LEAST_RAYS_SEEN = 3.0
 _DRAWN = 16
 """People drawn into a map, where any are."""
 
+_WEIGHED = ((FRAGMENT_COLOUR, FRAGMENT_COHERENCE), (GROUND, GROUND_RAYS))
 _KINDS = ("rarity", "hue", "plain")
 
 
@@ -42,7 +45,7 @@ class Sample:
     """One crop.
 
     Args:
-        whole: Shape (19, 256, 256), float32, the network's input.
+        whole: Shape (25, 256, 256), float32, the network's input.
         boxes: Shape (K, 4), xyxy [px], people to find.
         ignored: Shape (M, 4), people who cannot be seen.
     """
@@ -116,9 +119,11 @@ def at_sampling(
     height, width = (max(CROP_PX // 2, round(side * factor)) for side in layers.shape[1:])
     way = cv2.INTER_AREA if factor < 0.95 else cv2.INTER_LINEAR
     layers = layers.copy()
-    layers[FRAGMENT_COLOUR] *= layers[FRAGMENT_COHERENCE]  # no colour is not black
+    for colours, weight in _WEIGHED:  # no colour is not black
+        layers[colours] *= layers[weight]
     small = np.stack([cv2.resize(layer, (width, height), interpolation=way) for layer in layers])
-    small[FRAGMENT_COLOUR] /= np.maximum(small[FRAGMENT_COHERENCE], np.float32(1e-6))
+    for colours, weight in _WEIGHED:
+        small[colours] /= np.maximum(small[weight], np.float32(1e-6))
     scale = np.array([width / layers.shape[2], height / layers.shape[1]] * 2)
     return small, (boxes + 0.5) * scale - 0.5
 
@@ -174,6 +179,7 @@ def _look(
         agreed_in(layers, COHERENT, COHERENCE) if known[3] else None,
         layers[FRAGMENTS] if looked else None,
         agreed_in(layers, FRAGMENT_COLOUR, FRAGMENT_COHERENCE) if looked else None,
+        agreed_in(layers, GROUND, GROUND_RAYS) if looked else None,
     )
     return _jittered(whole, rng), np.zeros((0, 4)), False
 
@@ -226,7 +232,8 @@ def _jittered(whole: NDArray[np.float32], rng: np.random.Generator) -> NDArray[n
     """Vary contrast and noise a little."""
     if rng.uniform() < 0.5:
         factors = np.exp(rng.normal(0.0, 0.15, (len(whole), 1, 1))).astype(np.float32)
-        factors[CHANNELS.index("rays")] = 1.0
+        for name in ("rays", "ground rays"):
+            factors[CHANNELS.index(name)] = 1.0
         whole *= factors
     if rng.uniform() < 0.3:
         noise = rng.standard_normal(whole[:6].shape, dtype=np.float32)

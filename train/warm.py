@@ -25,7 +25,7 @@ def unfolded(path: Path, batches: Iterable[Tensor]) -> PersonNet:
 
     Args:
         path: Written by `train.export`.
-        batches: Inputs (B, 19, H, W) on which the layers' means and deviations are measured.
+        batches: Inputs (B, 25, H, W) on which the layers' means and deviations are measured.
 
     Raises:
         ValueError: If the file holds another network.

@@ -15,7 +15,13 @@ from hsvaos.detect.fitting import Placement, as_bytes, fitted, padded
 from hsvaos.detect.grey_input import GREY_CHANNELS, grey_input
 from hsvaos.detect.layouts import Layout, input_size, own_channels
 from hsvaos.detect.network import Network
-from hsvaos.detect.network_input import AIM_GSD_M, CHANNELS, TRAINED_GSD_M, network_input
+from hsvaos.detect.network_input import (
+    AIM_GSD_M,
+    CHANNELS,
+    TRAINED_GSD_M,
+    network_input,
+    photo_layers,
+)
 from hsvaos.detect.view_input import ViewInput, Window, trained_size, windows
 
 Array = NDArray[Any]
@@ -70,7 +76,7 @@ class PhotoFeed:
 
     Attributes:
         score: Score from which a box counts, by default.
-        sees_fragments: No.
+        photo_layers: None.
 
     Args:
         network: The network.
@@ -86,7 +92,7 @@ class PhotoFeed:
         self, network: Network, layout: Layout, size_px: int | None, slice_px: int | None
     ) -> None:
         self.score = layout.score
-        self.sees_fragments = False
+        self.photo_layers: tuple[str, ...] = ()
         self._layout = layout
         self._size = input_size(network, size_px)
         self._slice = slice_px
@@ -117,7 +123,8 @@ class OwnFeed:
 
     Attributes:
         score: Score from which a box counts, by default.
-        sees_fragments: Whether the network looks at the evidence of pieces of people.
+        photo_layers: What of single photos the network looks at: some of "fragments",
+            "fragment_coherence" and "ground".
 
     Args:
         network: The network.
@@ -135,7 +142,7 @@ class OwnFeed:
         self._grey = names[0] in GREY_CHANNELS
         known = GREY_CHANNELS if self._grey else CHANNELS
         self._channels = [known.index(name) for name in names]
-        self.sees_fragments = "fragments" in names
+        self.photo_layers = photo_layers(names)
         self.score = _threshold(network, layout.score)
         self._gsd_m, self._aim_m = _trained_gsd(network)
         self._fixed = network.picture.shape[2:]
@@ -179,6 +186,7 @@ class OwnFeed:
                 *(view.image, view.footprint, view.rarity, view.plain),
                 *(_pair(view.coherent, view.coherence), view.fragments),
                 _pair(view.fragment_colour, view.fragment_coherence),
+                _pair(view.ground, view.ground_rays),
             )
         if self._channels != list(range(len(planes))):
             planes = planes[self._channels]

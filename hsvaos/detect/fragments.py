@@ -5,13 +5,17 @@ around the pixel too: a patch of cloth between leaves has a shade, an edge and a
 snow and crowns do not have. What it says is the evidence of one ray, no verdict: most pieces are a
 few pixels large. Averaged over rays like any photo, evidence adds up where people lie, and blurs
 away with the crowns everywhere else.
+
+The network also says of every pixel whether it shows the ground (or who lies on it) or a crown, a
+trunk or a bush. Photos weighed by that show the ground as if nothing stood on it, where enough
+rays reach it: no colour need be cut for that.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import cv2
 import numpy as np
@@ -25,7 +29,8 @@ FRAGMENT_CHANNELS = ("red", "green", "blue", "chroma surprise", "colour surprise
 PACKAGED_FRAGMENTS = Path(__file__).with_name("fragments.onnx")
 """Our own weights."""
 
-_MULTIPLE = 8
+_OUTPUTS = "evidence", "ground"
+_MULTIPLE = 16
 """Sides of the input must be multiples of this."""
 
 _GSD_M = (0.03, 0.055)
@@ -47,8 +52,22 @@ class PhotoInputs(Protocol):
         ...
 
 
+class PhotoEvidence(NamedTuple):
+    """What the network says of photos.
+
+    Attributes:
+        people: Shape (N, h, w) or (h, w), uint16, 65535 = 1: log(1 + 7.4 odds) / 10 of a piece of a
+            person.
+        ground: The same shape, uint8, 255 = 1: the squared probability that the ground is seen, or
+            who lies on it.
+    """
+
+    people: NDArray[np.uint16]
+    ground: NDArray[np.uint8]
+
+
 class FragmentNet:
-    """Tells how much each pixel of a photo looks like a piece of a person.
+    """Tells how much each pixel of a photo looks like a piece of a person, or like the ground.
 
     Args:
         model: ONNX file; by default our own weights.
@@ -72,14 +91,20 @@ class FragmentNet:
                 f"{self._network.name}: expected a network of fragments, with the channels "
                 f"{', '.join(FRAGMENT_CHANNELS)} in its metadata, got {named or 'none'}"
             )
+        given = [port.name for port in self._network.outputs]
+        if not set(_OUTPUTS) <= set(given):
+            raise ValueError(
+                f"{self._network.name}: expected the outputs {' and '.join(_OUTPUTS)}, got "
+                f"{', '.join(given)}"
+            )
 
     def evidence(
         self,
         photos: PhotoInputs,
         gsd_m: float | None = None,
         progress: Callable[[int, int], None] | None = None,
-    ) -> NDArray[np.uint16]:
-        """Return the evidence of every pixel of every photo.
+    ) -> PhotoEvidence:
+        """Return what is said of every pixel of every photo.
 
         Args:
             photos: The inputs of a flight.
@@ -87,34 +112,36 @@ class FragmentNet:
                 resampled, and the evidence is smaller or larger than they. By default they are
                 taken as they are.
             progress: Told how many photos are done.
-
-        Returns:
-            Shape (N, h, w), uint16, 65535 = 1: log(1 + 7.4 odds) / 10 of a piece of a person.
         """
-        found = np.zeros((len(photos), 0, 0), dtype=np.uint16)
+        none = (len(photos), 0, 0)
+        found = PhotoEvidence(np.zeros(none, np.uint16), np.zeros(none, np.uint8))
         for index in range(len(photos)):
             one = self.of_photo(photos(index), gsd_m)
             if index == 0:
-                found = np.empty((len(photos), *one.shape), dtype=np.uint16)
-            found[index] = one
+                shape = len(photos), *one.people.shape
+                found = PhotoEvidence(np.empty(shape, np.uint16), np.empty(shape, np.uint8))
+            found.people[index], found.ground[index] = one
             if progress is not None:
                 progress(index + 1, len(photos))
         return found
 
-    def of_photo(
-        self, planes: NDArray[np.float32], gsd_m: float | None = None
-    ) -> NDArray[np.uint16]:
-        """Return the evidence of one photo, shape (h, w), uint16; see `evidence`.
+    def of_photo(self, planes: NDArray[np.float32], gsd_m: float | None = None) -> PhotoEvidence:
+        """Return what is said of one photo; see `evidence`.
 
         Args:
             planes: Shape (5, H, W), from `fragment_input.FragmentInput`.
             gsd_m: Ground sampling distance of the photo [m/px], or None.
         """
-        found = self.of_planes(resampled(planes, gsd_m)) * ONE
-        return np.asarray(np.rint(found), dtype=np.uint16)
+        people, ground = self.of_planes(resampled(planes, gsd_m))
+        return PhotoEvidence(
+            np.rint(people * ONE).astype(np.uint16),
+            np.rint(ground * np.float32(255.0)).astype(np.uint8),
+        )
 
-    def of_planes(self, planes: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the evidence of one photo, shape (H, W), 0 to 1.
+    def of_planes(
+        self, planes: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return evidence and ground of one photo, shape (H, W) each, 0 to 1.
 
         Args:
             planes: Shape (5, H, W), from `fragment_input.FragmentInput`.
@@ -122,8 +149,9 @@ class FragmentNet:
         height, width = planes.shape[1:]
         beyond = (0, 0), (0, -height % _MULTIPLE), (0, -width % _MULTIPLE)
         whole = np.pad(planes, beyond, mode="edge")[None]
-        (evidence,) = self._network.run({self._network.picture.name: whole}).values()
-        return np.asarray(evidence[0, 0, :height, :width])
+        found = self._network.run({self._network.picture.name: whole})
+        people, ground = (found[name][0, 0, :height, :width] for name in _OUTPUTS)
+        return people, ground
 
 
 def resampled(planes: NDArray[np.float32], gsd_m: float | None) -> NDArray[np.float32]:

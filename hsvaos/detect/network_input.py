@@ -5,9 +5,11 @@ The same lines prepare integral images for training and for finding people.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -19,8 +21,17 @@ CHANNELS = (
     *("coherence", "plain surprise", "rare colour", "rare contrast"),
     *("coherent colour", "coherent contrast", "fragments"),
     *("fragment red", "fragment green", "fragment blue", "fragment coherence"),
+    *("ground light", "ground red-green", "ground blue-yellow", "ground rays"),
+    *("ground surprise", "ground fragments"),
 )
 """Channels of the network's input, in order."""
+
+PHOTO_LAYERS = {
+    "fragments": ("fragments", "ground fragments"),
+    "fragment_coherence": CHANNELS[15:19],
+    "ground": CHANNELS[19:25],
+}
+"""What of single photos makes which channels."""
 
 TRAINED_GSD_M = (0.045, 0.09)
 """Ground sampling distances [m/px] between which the network was trained."""
@@ -34,8 +45,22 @@ _LIMIT = 8.0
 _UNIT = 0.25
 """Brings contrast to about the range -1..1 that networks like."""
 
+_LIGHT_AROUND_PX = 129
+_LIGHT_SHARE = np.float32(0.1)
+"""Of the light around, added before the logarithm: what is black has no colour."""
+
 _COMPRESSED_UNIT = 0.5
+_GROUND_UNIT = 0.5
 _SURPRISE_UNIT = 0.5
+
+
+def photo_layers(channels: Sequence[str]) -> tuple[str, ...]:
+    """Return what of single photos is needed for channels, names in `PHOTO_LAYERS`.
+
+    Args:
+        channels: Their names.
+    """
+    return tuple(name for name, own in PHOTO_LAYERS.items() if not set(own).isdisjoint(channels))
 
 
 def network_input(
@@ -46,6 +71,7 @@ def network_input(
     coherence: tuple[ArrayLike, ArrayLike] | None = None,
     fragments: ArrayLike | None = None,
     fragment_coherence: tuple[ArrayLike, ArrayLike] | None = None,
+    ground: tuple[ArrayLike, ArrayLike] | None = None,
 ) -> NDArray[np.float32]:
     """Return the input of the person network for one integral image.
 
@@ -66,9 +92,12 @@ def network_input(
         fragments: Shape (H, W), any unit, the evidence of pieces of people in single photos, see
             `FragmentNet`, averaged over the rays. None if unknown.
         fragment_coherence: As `coherence`, of photos weighed by that evidence. None if unknown.
+        ground: Mean colour of the rays that come from the ground and not from crowns, as
+            `FragmentNet` tells, shape (H, W, 3) or (H, W), and how many, shape (H, W). None if
+            unknown.
 
     Returns:
-        Shape (19, H, W), float32, see `CHANNELS`.
+        Shape (25, H, W), float32, see `CHANNELS`.
 
     Raises:
         ValueError: If a shape does not fit.
@@ -112,6 +141,20 @@ def network_input(
     if fragment_coherence is not None:
         agreed = _agreed(fragment_coherence, everywhere, "fragment_coherence")
         whole[15:18], whole[18] = agreed.contrast, agreed.coherence
+    if ground is not None:
+        colour, known = _sized(ground[0], size, "ground[0]")
+        count = _fitting(ground[1], size, "ground[1]")
+        count = np.maximum(np.nan_to_num(count, nan=0.0), 0.0)  # type: ignore[arg-type]
+        known = known & (count > 0.0)
+        for k, opponent in enumerate(_opponents(colour, known)):
+            whole[19 + k] = _clipped(local_contrast(opponent[..., None], known))[0]
+        whole[22] = np.float32(_GROUND_UNIT) * np.log1p(count)
+        if colour.shape[2] == 3:
+            whole[23] = surprise_of_colours(colour, known) * np.float32(_SURPRISE_UNIT)
+        if pieces is not None:  # of all rays, brought to those that can show anybody
+            whole_sum = pieces if rays is None else pieces * np.where(seen, rays, np.float32(0.0))
+            of_ground = whole_sum / (count + np.float32(1.0))
+            whole[24] = _compressed(local_contrast(of_ground[..., None], everywhere))[0]
     return whole
 
 
@@ -143,6 +186,24 @@ def _agreed(pair: tuple[Any, Any], seen: NDArray[np.bool_], name: str) -> _Agree
     contrast = _clipped(local_contrast(picture, known))
     itself: NDArray[np.float32] = _compressed(local_contrast(weight[..., None], seen))[0]
     return _Agreed(picture, known, weight, contrast, itself)
+
+
+def _opponents(colour: NDArray[np.float32], known: NDArray[np.bool_]) -> list[NDArray[np.float32]]:
+    """Return logarithms of lightness, of red to green and of blue to yellow; of grey the first.
+
+    Sun flecks and shadows are far apart in colours, and near each other in their ratios: there
+    clothes in a shadow stand out, as they would in the sun.
+    """
+    weight = known.astype(np.float32)
+    side = (_LIGHT_AROUND_PX, _LIGHT_AROUND_PX)
+    around = cv2.blur(colour.mean(axis=2) * weight, side) / np.maximum(cv2.blur(weight, side), 1e-3)
+    around = np.maximum(_LIGHT_SHARE * around, np.float32(1e-6))
+    logs = np.log(np.maximum(colour, np.float32(0.0)) + around[..., None])
+    light = logs.mean(axis=2)
+    if colour.shape[2] == 1:
+        return [light]
+    red, green, blue = np.moveaxis(logs, 2, 0)
+    return [light, red - green, blue - np.float32(0.5) * (red + green)]
 
 
 def _coherence(

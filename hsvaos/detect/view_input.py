@@ -35,6 +35,8 @@ class ViewInput:
         fragments: Shape (H, W), float32, mean evidence of pieces of people; or None.
         fragment_colour: Like the image, the mean colour of pieces of people that agree; or None.
         fragment_coherence: Shape (H, W), float32, how much they do; None with `fragment_colour`.
+        ground: Like the image, the mean colour of the rays that come from the ground; or None.
+        ground_rays: Shape (H, W), float32, how many do; None with `ground`.
     """
 
     image: Array
@@ -46,6 +48,8 @@ class ViewInput:
     fragments: Array | None = None
     fragment_colour: Array | None = None
     fragment_coherence: Array | None = None
+    ground: Array | None = None
+    ground_rays: Array | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -123,6 +127,7 @@ class ViewInput:
         return (
             *(self.footprint, self.rarity, self.plain, self.coherent, self.coherence),
             *(self.fragments, self.fragment_colour, self.fragment_coherence),
+            *(self.ground, self.ground_rays),
         )
 
     def _each(self, change: Callable[[Array], Array]) -> ViewInput:
@@ -157,6 +162,7 @@ def checked_view(
     coherence: tuple[ArrayLike, ArrayLike] | None = None,
     fragments: ArrayLike | None = None,
     fragment_coherence: tuple[ArrayLike, ArrayLike] | None = None,
+    ground: tuple[ArrayLike, ArrayLike] | None = None,
 ) -> ViewInput:
     """Check the arrays of a view; NaN and infinity count as not known.
 
@@ -169,6 +175,8 @@ def checked_view(
             shape (H, W); see `Integrator.coherence`.
         fragments: Shape (H, W), mean evidence of pieces of people over the rays.
         fragment_coherence: As `coherence`, of photos weighed by that evidence.
+        ground: Mean colour of the rays that come from the ground, shapes as `image`, and how many
+            do, shape (H, W).
 
     Raises:
         ValueError: If a shape is wrong; the message names the argument.
@@ -183,7 +191,11 @@ def checked_view(
     other, agreed = _other(plain, "plain", size), _agreed(coherence, "coherence", size)
     pieces = _map(fragments, "fragments", size)
     agreed_pieces = _agreed(fragment_coherence, "fragment_coherence", size)
-    return ViewInput(picture, rays, rare, other, *agreed, pieces, *agreed_pieces)
+    soil = _agreed(ground, "ground", size, "rays")
+    if soil[0] is not None and soil[1] is not None and not (shown := soil[1] > 0.0).all():
+        shown = shown if soil[0].ndim == 2 else shown[..., None]
+        soil = np.where(shown, soil[0], np.float32(np.nan)), soil[1]  # no ray is not black
+    return ViewInput(picture, rays, rare, other, *agreed, pieces, *agreed_pieces, *soil)
 
 
 def windows(size: tuple[int, int], side: tuple[int, int], overlap: int) -> list[Window]:
@@ -279,13 +291,16 @@ def _other(image: ArrayLike | None, name: str, size: tuple[int, int]) -> Array |
 
 
 def _agreed(
-    pair: tuple[ArrayLike, ArrayLike] | None, name: str, size: tuple[int, int]
+    pair: tuple[ArrayLike, ArrayLike] | None,
+    name: str,
+    size: tuple[int, int],
+    second: str = "coherence",
 ) -> tuple[Array | None, Array | None]:
-    """A pair of what `Integrator.coherence` returns, checked."""
+    """A pair of a mean colour and how much of it there is, checked."""
     if pair is None:
         return None, None
     if len(pair) != 2:
-        raise ValueError(f"{name} must be a pair (image, coherence), got {len(pair)} parts")
+        raise ValueError(f"{name} must be a pair (image, {second}), got {len(pair)} parts")
     return _other(pair[0], f"{name}[0]", size), _map(pair[1], f"{name}[1]", size)
 
 

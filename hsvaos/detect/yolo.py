@@ -44,7 +44,8 @@ class Detector:
         people: Numbers of the classes that count as people.
         score: Score from which a box counts.
         notes: What was assumed or could not be used, one line each.
-        sees_fragments: Whether the evidence of pieces of people is of use to the network.
+        photo_layers: What `detect` takes of single photos and the network looks at: some of
+            "fragments", "fragment_coherence" and "ground".
 
     Args:
         model: ONNX file or its content; by default our own weights: one network for colour, and one
@@ -115,7 +116,7 @@ class Detector:
             self._feed = OwnFeed(self._network, self._layout, part)
         else:
             self._feed = PhotoFeed(self._network, self._layout, side, part)
-        self.sees_fragments = self._feed.sees_fragments
+        self.photo_layers = self._feed.photo_layers
         self.score = self._feed.score if score is None else _share(score, "score")
         self._for_grey: Callable[[], Detector] | None = None
         if packaged and PACKAGED_GREY.is_file():
@@ -144,6 +145,7 @@ class Detector:
         coherence: tuple[ArrayLike, ArrayLike] | None = None,
         fragments: ArrayLike | None = None,
         fragment_coherence: tuple[ArrayLike, ArrayLike] | None = None,
+        ground: tuple[ArrayLike, ArrayLike] | None = None,
         gsd_m: float | None = None,
     ) -> Detections:
         """Find the people in one view.
@@ -161,6 +163,8 @@ class Detector:
                 `FragmentNet`), for our own network of colour images.
             fragment_coherence: What `Integrator.coherence` returns for photos weighed by that
                 evidence, for our own network of colour images.
+            ground: Integral image and footprint of the photos weighed by what the same network says
+                of the ground, for our own network of colour images.
             gsd_m: Ground sampling distance [m/px]. Our own networks take 0.045 to 0.09, of grey
                 images 0.07 to 0.146: beyond that the view is resampled. By default it is taken as
                 it is.
@@ -180,6 +184,7 @@ class Detector:
             coherences=None if coherence is None else [coherence],
             fragments=None if fragments is None else [fragments],
             fragment_coherences=None if fragment_coherence is None else [fragment_coherence],
+            grounds=None if ground is None else [ground],
             gsd_m=gsd_m,
         )[0]
 
@@ -193,6 +198,7 @@ class Detector:
         coherences: Sequence[tuple[ArrayLike, ArrayLike] | None] | None = None,
         fragments: Sequence[ArrayLike | None] | None = None,
         fragment_coherences: Sequence[tuple[ArrayLike, ArrayLike] | None] | None = None,
+        grounds: Sequence[tuple[ArrayLike, ArrayLike] | None] | None = None,
         gsd_m: float | Sequence[float | None] | None = None,
     ) -> list[Detections]:
         """Find the people in several views, several at a time where the network allows it.
@@ -205,6 +211,7 @@ class Detector:
             coherences: One pair a view, or None.
             fragments: One a view, or None.
             fragment_coherences: One pair a view, or None.
+            grounds: One pair a view, or None.
             gsd_m: For all views, or one a view [m/px].
 
         Returns:
@@ -223,6 +230,7 @@ class Detector:
             _one_each(coherences, count, "coherences"),
             _one_each(fragments, count, "fragments"),
             _one_each(fragment_coherences, count, "fragment_coherences"),
+            _one_each(grounds, count, "grounds"),
         )
         many = isinstance(gsd_m, Sequence | np.ndarray) and not isinstance(gsd_m, str)
         distances = _one_each(gsd_m if many else [gsd_m] * count, count, "gsd_m")

@@ -30,6 +30,8 @@ _STRONGEST_GAMMA = 0.45
 _SAMPLE_LIMIT = 2_000_000
 """Percentiles of more pixels than about this are taken from a regular subset."""
 
+_LEAST_GROUND_RAYS = 0.25
+
 COLOUR_MAPS = {
     "inferno": cv2.COLORMAP_INFERNO,
     "viridis": cv2.COLORMAP_VIRIDIS,
@@ -44,6 +46,17 @@ def covered(footprint: NDArray[Any]) -> NDArray[np.bool_]:
         footprint: Shape (H, W), sum of weights.
     """
     return np.asarray(np.isfinite(footprint) & (footprint > 0))
+
+
+def of_ground(rays: Float) -> Float:
+    """Return how many rays show the ground, 0 where there are too few for a picture of it.
+
+    What a quarter of a ray shows is a crown that could be ground.
+
+    Args:
+        rays: Shape (H, W), sum of the weights of `EvidenceIntegrators.ground`.
+    """
+    return np.where(rays >= _LEAST_GROUND_RAYS, rays, np.float32(0.0))
 
 
 def as_rgb(image: NDArray[Any]) -> Float:

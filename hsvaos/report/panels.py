@@ -35,6 +35,11 @@ _INTEGRALS = {
         "The same, but every pixel counts by how rare its colour is in this flight: clothes are "
         "rare, leaves are not. " + _UNSEEN,
     ),
+    "ground": (
+        "The ground without trees (rays of the ground)",
+        "The same, of those pixels only that a network takes for ground, or for somebody on it: "
+        "crowns, trunks and bushes are left out. Hatched: next to no photo shows the ground there.",
+    ),
     "anomaly": (
         "Unusual pixels only (anomaly-masked integral)",
         "The same, of those pixels only whose colour is unusual in its photo. " + _UNSEEN,
@@ -151,7 +156,8 @@ def _integral_panel(result: Result, name: str, image: Float, footprint: Float) -
     title, caption = _INTEGRALS[name]
     if name == "hue" and result.mask_stats.get("hue_informative") is False:
         caption = "Hue says nothing in these photos: nothing was taken out. " + _UNSEEN
-    small, coverage = figures.shrink(image, figures.covered(footprint), LONGEST_PX)
+    seen = figures.covered(figures.of_ground(footprint) if name == "ground" else footprint)
+    small, coverage = figures.shrink(image, seen, LONGEST_PX)
     picture = figures.faded(figures.stretch(small, coverage), coverage)
     return Panel(name, title, caption, _dressed(result, picture), True)
 

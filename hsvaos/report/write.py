@@ -23,6 +23,7 @@ FILE_NAMES = (
     "detections.png",
     "rarity_map.png",
     "fragment_map.png",
+    "ground.png",
     "footprint.png",
     "detections.json",
     "detections.geojson",
@@ -133,6 +134,9 @@ def _write_pictures(result: Result, folder: Path) -> dict[str, Path]:
         "detections.png": found,
         "footprint.png": with_legend(painted, "viridis", low, high, "footprint [photos]"),
     }
+    if "ground" in main.extra:
+        image, rays = main.extra["ground"]
+        pictures["ground.png"] = figures.stretch(image, figures.of_ground(rays))
     seen = figures.covered(main.footprint if main.rays is None else main.rays)
     for values, name in ((main.rarity_map, "rarity"), (main.fragment_map, "fragment")):
         if values is not None:
@@ -164,6 +168,8 @@ def _write_arrays(result: Result, path: Path) -> Path:
         values = getattr(main, name)
         if values is not None:
             arrays[name] = values.astype(np.float32, copy=False)
+    if "ground" in main.extra:
+        arrays["ground"], arrays["ground_rays"] = main.extra["ground"]
     if view.camera is None:
         north0, east0 = view.world_from_camera[:2, 3]
         arrays["ortho"] = np.array([north0, east0, view.gsd_m])

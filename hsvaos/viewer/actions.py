@@ -186,6 +186,12 @@ class Actions:
         if wanted():
             self.tab.tell(put)
 
+    def look(self, request: Request, wanted: Wanted) -> None:
+        """Look into all photos, and draw the ground anew that could not be shown before."""
+        self.tab.session.look(request.mask, wanted, self._tell_progress)
+        if wanted():
+            self.tab.update(anew=True)
+
     def _tell_progress(self, stage: str, done: int, count: int) -> None:
         def put() -> None:
             self.tab.controls.finds.content = f"{stage.capitalize()}: {done} of {count} photos."

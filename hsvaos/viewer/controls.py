@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 LAYER_NAMES = {
     "Integral, masked": "masked",
     "Integral, plain": "plain",
+    "Ground without trees": "ground",
     "Nearest photo": "photo",
     "Photo | plain | masked": "compare",
     "Footprint": "footprint",
@@ -174,7 +175,9 @@ def _focus(gui: viser.GuiApi, session: Session, h: dict[str, Any]) -> None:
         "Autofocus", hint="Measure the focus curve, and go to its clearest peak. Key: F."
     )
     h["curve"] = gui.add_uplot(**focus_chart(None, start.down_m), height=150, visible=False)
-    h["layer"] = gui.add_dropdown("Show", tuple(LAYER_NAMES), initial_value="Integral, masked")
+    known = session.photos.is_colour
+    shown = tuple(name for name, layer in LAYER_NAMES.items() if known or layer != "ground")
+    h["layer"] = gui.add_dropdown("Show", shown, initial_value="Integral, masked")
     h["place"] = gui.add_dropdown("Picture", PLACES, initial_value=PLACES[0])
     h["contrast"] = gui.add_slider("Contrast", 0.2, 5.0, 0.05, 1.0)
     h["brightness"] = gui.add_slider("Brightness", 0.3, 3.0, 0.05, 1.0)

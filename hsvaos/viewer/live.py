@@ -282,7 +282,8 @@ class Live:
         if not request.moving:
             return Quality()
         mask, weights = request.mask, self.session.weights
-        kind = "rarity_map" if request.layer == "rarity" else weights.kind_of(mask.method)
+        kind = {"rarity": "rarity_map", "ground": "plain"}.get(request.layer)
+        kind = kind or weights.kind_of(mask.method)
         pixels, frames = request.view.width * request.view.height, self.session.frames(request)
         if weights.has(kind, mask):
             return self.pace.quality(pixels, len(frames))

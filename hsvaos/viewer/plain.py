@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import threading
 from dataclasses import replace
 from html import escape
@@ -22,9 +23,11 @@ from hsvaos.viewer.render import Picture
 from hsvaos.viewer.request import LAYERS, Aperture, Focus, Look, Request
 from hsvaos.viewer.saving import settings_toml
 from hsvaos.viewer.session import Session
+from hsvaos.viewer.weights import Wanted
 
 _PAGE = Path(__file__).with_name("plain.html")
 _WAIT_S = 60.0
+_log = logging.getLogger("hsvaos")
 _LONGEST_PX = 1280
 
 
@@ -45,6 +48,7 @@ class PlainApp(PageServer):
 
     def __init__(self, session: Session, host: str = "127.0.0.1", port: int = 8080) -> None:
         self.session, self.live = session, Live(session)
+        self._lock, self._looking = threading.Lock(), False
 
         class Handler(_Handler):
             app = self
@@ -131,7 +135,27 @@ class PlainApp(PageServer):
         done.wait(_WAIT_S)
         if outcome and isinstance(outcome[0], Exception):
             raise outcome[0]
-        return outcome[0] if outcome else None
+        picture: Picture | None = outcome[0] if outcome else None
+        if picture is not None and picture.stand_in:
+            self._look(request)
+        return picture
+
+    def _look(self, request: Request) -> None:
+        """Look into all photos, in the background and once; the page asks again meanwhile."""
+        with self._lock:
+            if self._looking:
+                return
+            self._looking = True
+
+        def job(wanted: Wanted) -> None:
+            self.session.look(request.mask, wanted)
+            self._looking = False
+
+        def failed(error: Exception) -> None:
+            self._looking = False
+            _log.warning("the photos could not be looked into: %s", error)
+
+        self.live.background(self, "look", job, failed)
 
 
 class _Handler(Answers):
@@ -172,6 +196,7 @@ class _Handler(Answers):
             "device": self.app.session.device.alias,
             "full": picture.quality.full,
             "note": picture.note,
+            "soon": picture.stand_in,
         }
         extra = {"X-Status": json.dumps(status)}
         self.send(jpeg(picture.rgb), "image/jpeg", extra=extra)

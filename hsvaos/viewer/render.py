@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from hsvaos.camera import VirtualCamera
 from hsvaos.kernels.integrate import Integrator
+from hsvaos.report.figures import of_ground
 from hsvaos.surface import FocalSurface
 from hsvaos.viewer.pace import Quality
 from hsvaos.viewer.picture import (
@@ -47,6 +48,7 @@ class Picture:
         integrate_ms: Time to gather them [ms].
         ms: Time for all of it [ms].
         note: What the user should know; empty where all is well.
+        stand_in: Whether it shows something else until all photos were looked into.
     """
 
     rgb: Rgb
@@ -58,6 +60,7 @@ class Picture:
     integrate_ms: float
     ms: float
     note: str
+    stand_in: bool = False
 
     def summary(self, session: Session) -> str:
         """Return the status line, as Markdown.
@@ -79,7 +82,8 @@ def render(session: Session, request: Request, quality: Quality, wanted: Wanted)
     job = _Job(session, request, quality, wanted)
     rgb = job.picture()
     ms = 1e3 * (perf_counter() - start)
-    return Picture(rgb, request, job.view, quality, len(job.frames), job.rays, job.ms, ms, job.note)
+    shown = (len(job.frames), job.rays, job.ms, ms, job.note, job.stand_in)
+    return Picture(rgb, request, job.view, quality, *shown)
 
 
 def integral(
@@ -119,7 +123,7 @@ class _Job:
         self.view = resized(request.view, quality.scale)
         self.surface = session.surface(request.focus)
         self.frames = session.frames(request)[:: quality.every]
-        self.rays, self.ms, self.note = 0, 0.0, ""
+        self.rays, self.ms, self.note, self.stand_in = 0, 0.0, "", False
 
     def picture(self) -> Rgb:
         layer = self.request.layer
@@ -133,6 +137,8 @@ class _Job:
         if layer == "rarity":
             image, footprint = self._gather("rarity_map", self.frames)
             return rarity_picture(image[..., 0], footprint)
+        if layer == "ground":
+            return self._ground()
         if layer == "footprint":
             _, footprint = self._gather(self._kind("masked"), self.frames)
             return footprint_picture(footprint)
@@ -142,6 +148,18 @@ class _Job:
         frames = [self.session.nearest(self.view)] if layer == "photo" else self.frames
         image, footprint = self._gather(self._kind(layer), frames)
         return integral_picture(image, footprint, self.request.look)
+
+    def _ground(self) -> Rgb:
+        integrator = self.session.ground(self.request.mask)
+        if integrator is None:
+            self.stand_in = self.session.photos.is_colour
+            later = "all photos are being looked into: the trees vanish when that is done"
+            self.note = later if self.stand_in else "grey photos do not tell ground from crowns"
+            return self._integral("plain")
+        if not self.frames:
+            return self._integral("plain")
+        image, footprint = self._timed(integrator, self.frames)
+        return integral_picture(image, of_ground(footprint), self.request.look)
 
     def _kind(self, layer: str) -> str:
         if layer != "masked":
@@ -158,10 +176,14 @@ class _Job:
         else:
             some = frames[:: max(1, -(-len(frames) // PREVIEW_FRAMES))]
             integrator, chosen = weights.preview(kind, mask, tuple(some)), None
+        image, footprint = self._timed(integrator, chosen)
+        if frames and not footprint.any():
+            self.note = "no photo sees the focal surface there"
+        return image, footprint
+
+    def _timed(self, integrator: Integrator, chosen: list[int] | None) -> tuple[Any, Any]:
         start = perf_counter()
         image, footprint = integral(integrator, self.view, self.surface, chosen, self.wanted)
         self.ms += 1e3 * (perf_counter() - start)
         self.rays += self.view.width * self.view.height * (len(chosen or integrator))
-        if frames and not footprint.any():
-            self.note = "no photo sees the focal surface there"
         return image, footprint

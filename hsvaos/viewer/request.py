@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from hsvaos.camera import Camera, VirtualCamera, finite_number
 from hsvaos.settings import MOST_TILT_DEG, MaskSettings
 
-LAYERS = ("masked", "plain", "photo", "footprint", "rarity", "compare")
-"""Integral image with the chosen mask; without one; the nearest photo alone, on the same surface;
-sum of weights; mean rarity of the rays; and photo, plain and masked side by side."""
+LAYERS = ("masked", "plain", "ground", "photo", "footprint", "rarity", "compare")
+"""Integral image with the chosen mask; without one; of what a network takes for ground, in colour
+photos once all were looked into, and without a mask till then; the nearest photo alone, on the same
+surface; sum of weights; mean rarity of the rays; and photo, plain and masked side by side."""
 
 MOST_PX = 4096
 """Longest side of a picture: more than any screen, little enough for any memory."""

@@ -18,9 +18,9 @@ from hsvaos.kernels.device import resolve_device
 from hsvaos.kernels.integrate import Integrator
 from hsvaos.kernels.rays import focal_points
 from hsvaos.photos import Photos, Progress, load_photos, with_poses
-from hsvaos.rendering import Renderer
+from hsvaos.rendering import EvidenceIntegrators, Renderer
 from hsvaos.result import ViewResult
-from hsvaos.settings import FocusSettings, Settings
+from hsvaos.settings import FocusSettings, MaskSettings, Settings
 from hsvaos.surface import FocalSurface, FocalTerrain
 from hsvaos.viewer.pace import Quality
 from hsvaos.viewer.render import Picture, integral, render
@@ -212,6 +212,34 @@ class Session:
         mean = np.clip(image[seen].mean(axis=0) * gains / white, 0.0, 1.0)
         return "#" + bytes(np.rint(255.0 * mean).astype(np.uint8)).hex()
 
+    def look(
+        self,
+        mask: MaskSettings,
+        wanted: Wanted = lambda: True,
+        progress: Progress | None = None,
+    ) -> EvidenceIntegrators:
+        """Return what a network sees in the photos, which takes seconds the first time.
+
+        Args:
+            mask: The settings.
+            wanted: Asked between photos.
+            progress: Told how many photos were looked into.
+
+        Raises:
+            Abandoned: If it is no longer wanted.
+            ValueError: If the photos are grey.
+        """
+        return self.weights.fragments(mask, self._gsd_m, wanted, progress)
+
+    def ground(self, mask: MaskSettings) -> Integrator | None:
+        """Return the photos weighed by what is ground in them; None until they were looked into.
+
+        Args:
+            mask: The settings.
+        """
+        made = self.weights.looked(mask, self._gsd_m)
+        return None if made is None else made.ground
+
     def finds(
         self,
         request: Request,
@@ -246,8 +274,7 @@ class Session:
                 self._finder = make_finder(settings.detect, len(self.flight))
             finder = self._finder
             if finder is not None and finder.looks_at_photos and self.photos.is_colour:
-                asked = (request.mask, self._gsd_m, wanted, progress)
-                by = by.with_evidence(self.weights.fragments(*asked))
+                by = by.with_evidence(self.look(request.mask, wanted, progress))
             renderer = Renderer(by, settings, surface, finder)
             result, places = renderer.render(name, self.flight.view(index))
             found = _on_surface(result, places.places, surface)

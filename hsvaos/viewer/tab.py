@@ -94,8 +94,12 @@ class Tab:
         mask = c.mask(self.session.settings.mask, self.kept)
         return Request(view, focus, c.aperture(), mask, c.look(), layer, moving=True)
 
-    def update(self) -> None:
-        """Ask for a new picture, if anything has changed."""
+    def update(self, *, anew: bool = False) -> None:
+        """Ask for a new picture, if anything has changed.
+
+        Args:
+            anew: Ask even if nothing has.
+        """
         with self.lock:  # whoever comes last reads the newest values, and asks last
             if self.gone:
                 return
@@ -108,7 +112,7 @@ class Tab:
             place: tuple[Any, ...] = (view.world_from_camera.tobytes(), view.camera, view.size)
             key = (*place, view.gsd_m, request.focus, request.aperture, request.mask)
             key = (*key, request.look, request.layer)
-            if key == self._last_key:
+            if key == self._last_key and not anew:
                 return
             self._last_key = key
             self.last = request
@@ -136,6 +140,8 @@ class Tab:
                 self.tell(lambda: self.scene.put_outline(surface, nearest))
                 self._surface_key = key
             self.actions.show_hues(request)
+            if picture.stand_in:
+                self.actions.look(request, wanted)
             if self.controls.show_finds.value:
                 self.actions.show_finds(request, wanted)
 

@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from hsvaos.detect.fragments import FragmentNet
+from hsvaos.detect.fragments import FragmentNet, PhotoEvidence
 from hsvaos.fragment_input import FragmentInput
 from hsvaos.hue_statistics import HueStatistics, hue_statistics
 from hsvaos.kernels.hue_mask import hue_histograms
@@ -26,7 +26,12 @@ from hsvaos.masking import (
 )
 from hsvaos.photos import Photos, Progress
 from hsvaos.rarity_model import RarityModel
-from hsvaos.rendering import Integrators, evidence_integrators, hue_integrator
+from hsvaos.rendering import (
+    EvidenceIntegrators,
+    Integrators,
+    evidence_integrators,
+    hue_integrator,
+)
 from hsvaos.settings import MaskSettings, Settings
 
 KINDS = ("plain", "hue", "rarity", "rarity_map", "anomaly", "anomaly_map")
@@ -90,8 +95,8 @@ class WeightCache:
         self._small: tuple[tuple[int, ...], Photos] | None = None
         self._layers: dict[str, tuple[Any, tuple[Any, Any]]] = {}
         self._looking = threading.Lock()
-        self._evidence: tuple[Any, list[NDArray[np.uint16]]] | None = None
-        self._fragments: tuple[Any, tuple[Integrator, Integrator]] | None = None
+        self._evidence: tuple[Any, list[PhotoEvidence]] | None = None
+        self._fragments: tuple[Any, EvidenceIntegrators] | None = None
         pixels = int(np.prod(photos.images.shape[:3]))
         self._kept = max(1, min(_MOST_KEPT, _CACHE_BYTES // (_BYTES_A_PIXEL * pixels)))
 
@@ -204,13 +209,18 @@ class WeightCache:
             anomaly_map=odd,
         )
 
+    def looked(self, mask: MaskSettings, gsd_m: float | None) -> EvidenceIntegrators | None:
+        """Return what `fragments` would, or None where it would take long."""
+        made = self._fragments
+        return made[1] if made is not None and made[0] == _looked_with(mask, gsd_m) else None
+
     def fragments(
         self,
         mask: MaskSettings,
         gsd_m: float | None,
         wanted: Wanted = lambda: True,
         progress: Progress | None = None,
-    ) -> tuple[Integrator, Integrator]:
+    ) -> EvidenceIntegrators:
         """Return the integrators of what the fragment network sees in each photo.
 
         The first time takes seconds; what is abandoned is gone on with where it was.
@@ -224,7 +234,7 @@ class WeightCache:
         Raises:
             Abandoned: If it is no longer wanted.
         """
-        key = mask.rarity_smoothing_bins, gsd_m
+        key = _looked_with(mask, gsd_m)
         with self._looking:
             if self._fragments is not None and self._fragments[0] == key:
                 return self._fragments[1]
@@ -240,7 +250,9 @@ class WeightCache:
                 seen.append(net.of_photo(inputs(index), gsd_m))
                 if progress is not None:
                     progress("looking for pieces of people", index + 1, count)
-            made = evidence_integrators(self.photos, np.stack(seen), self.gains)
+            people, ground = (np.stack(part) for part in zip(*seen, strict=True))
+            evidence = PhotoEvidence(people, ground)
+            made = evidence_integrators(self.photos, evidence, self.gains)
             self._fragments = (key, made)
             self._evidence = None
             return self._fragments[1]
@@ -324,3 +336,8 @@ def _integrator(
     if kind.endswith("_map"):
         return Integrator(camera, layer, poses, photos.valid)
     return Integrator(camera, photos.images, poses, layer, gains=gains)
+
+
+def _looked_with(mask: MaskSettings, gsd_m: float | None) -> tuple[Any, ...]:
+    """What the evidence of the photos depends on."""
+    return mask.rarity_smoothing_bins, gsd_m

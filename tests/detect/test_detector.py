@@ -273,7 +273,7 @@ def test_counts_that_differ_are_refused() -> None:
         ({"provider": "abacus"}, ValueError, "provider 'abacus' is not here"),
         ({"layout": "yolov99"}, ValueError, "layout must be auto or one of hsvaos"),
         ({"layout": "yolov4"}, ValueError, "layout yolov4 expects boxes"),
-        ({"layout": "hsvaos"}, ValueError, "layout hsvaos expects 19 input channels"),
+        ({"layout": "hsvaos"}, ValueError, "layout hsvaos expects 25 input channels"),
         ({"layout": "end2end"}, ValueError, "layout end2end expects"),
         ({"person_class": 80}, ValueError, "person_class must lie within 0 to 79"),
         ({"person_class": "person"}, ValueError, "is no class name"),

@@ -10,7 +10,7 @@ import warp as wp
 
 from hsvaos import Camera, Flight, VirtualCamera, reference
 from hsvaos.demo import demo_flight
-from hsvaos.detect.fragments import FRAGMENT_CHANNELS, FragmentNet, resampled
+from hsvaos.detect.fragments import FRAGMENT_CHANNELS, FragmentNet, PhotoEvidence, resampled
 from hsvaos.detect.yolo import PACKAGED
 from hsvaos.flight import Frame
 from hsvaos.fragment_input import FragmentInput, surprises
@@ -20,10 +20,15 @@ from hsvaos.photos import Photos, load_photos, with_poses
 from hsvaos.rarity_model import model_from_counts
 from hsvaos.rendering import evidence_integrators, fragment_integrators
 from hsvaos.settings import Settings
+from hsvaos.simulate.forest import ForestSettings
+from hsvaos.simulate.instances import Kind
+from hsvaos.simulate.simulation import Simulation
 from hsvaos.surface import FocalPlane
 from hsvaos.viewing import ground_grid
+from tests.simulate.conftest import small_settings
 
 SHAPE = (3, 40, 56)
+LEAST_RATIO = {"summer": 3.0, "fall": 3.0, "snow": 2.0}
 
 
 def forest(dtype, seed=0):
@@ -95,9 +100,9 @@ def test_grey_photos_hold_no_fragments():
 @pytest.mark.parametrize("size", [(1, 1), (8, 8), (37, 61)])
 def test_photos_of_any_size_are_looked_at(size):
     planes = np.random.default_rng(0).normal(size=(5, *size)).astype(np.float32)
-    evidence = FragmentNet(provider="cpu").of_planes(planes)
-    assert evidence.shape == size
-    assert ((evidence >= 0.0) & (evidence <= 1.0)).all()
+    for said in FragmentNet(provider="cpu").of_planes(planes):
+        assert said.shape == size
+        assert ((said >= 0.0) & (said <= 1.0)).all()
 
 
 def test_photos_far_from_the_trained_sampling_are_resampled():
@@ -110,8 +115,8 @@ def test_photos_far_from_the_trained_sampling_are_resampled():
     found = FragmentNet(provider="cpu").evidence(
         inputs_of(forest(np.uint8)), 0.02, lambda *counts: done.append(counts)
     )
-    assert found.shape == (3, 20, 28)
-    assert found.dtype == np.uint16
+    assert found.people.shape == found.ground.shape == (3, 20, 28)
+    assert (found.people.dtype, found.ground.dtype) == (np.uint16, np.uint8)
     assert done == [(1, 3), (2, 3), (3, 3)]
 
 
@@ -120,15 +125,37 @@ def test_another_network_is_refused():
         FragmentNet(PACKAGED)
 
 
+@pytest.mark.parametrize("season", ["summer", "fall", "snow"])
+def test_the_ground_is_told_from_what_stands_on_it(season):
+    """A flight that training never saw: seed 5, where training begins with 101000."""
+    forest = ForestSettings(season=season, seed=5, density=260.0, leaf_density=0.5)
+    camera = Camera.from_fov(512, 512, 64.0)
+    settings = small_settings(forest=forest, camera=camera, classes=("half", "open"), stakes=0)
+    simulation = Simulation(settings)
+    photos = [simulation.photo(k) for k in range(6)]
+    inputs = inputs_of(np.stack([photo.image for photo in photos]))
+    said = FragmentNet(provider="cpu").evidence(inputs, 0.05)
+    kind = np.stack([photo.kind for photo in photos])
+    stands = np.isin(kind, [Kind.TREE, Kind.BUSH])
+    assert 0.1 < stands.mean() < 0.9
+    ground = said.ground / 255.0
+    assert ground[~stands].mean() > LEAST_RATIO[season] * ground[stands].mean()
+    person = kind == Kind.PERSON
+    assert person.sum() > 100
+    assert said.people[person].mean() > 10.0 * said.people[~person].mean()
+
+
 def test_evidence_adds_up_where_people_lie():
     flight = with_poses(demo_flight())
     photos = load_photos(flight, device="cpu")
     net = FragmentNet(provider="cpu")
-    pieces, _ = fragment_integrators(photos, make_masks(photos, Settings()), net)
+    made = fragment_integrators(photos, make_masks(photos, Settings()), net)
     surface = FocalPlane(photos.flight.ground_down_m or 0.0)
     view = ground_grid(photos.flight, surface, 0.05)
-    image, rays = (np.asarray(part.numpy()) for part in pieces.integrate(view, surface))
-    smooth = cv2.GaussianBlur(image[..., 0], (0, 0), 4.0)
+    image, rays = (np.asarray(part.numpy()) for part in made.fragments.integrate(view, surface))
+    reach = np.asarray(made.ground.integrate(view, surface)[1].numpy())
+    total = cv2.GaussianBlur(image[..., 0] * rays, (0, 0), 4.0)
+    smooth = total / (cv2.GaussianBlur(reach, (0, 0), 4.0) + 1.0)  # by rays of the ground
     ground = smooth[rays >= 5.0]
     people = json.loads((flight.source / "truth.json").read_text())["people"]
     for person in people:
@@ -154,7 +181,9 @@ def test_photos_are_weighed_by_what_is_seen_in_them():
     photos = Photos(Flight("drawn", camera, frames), held, None, ())
     evidence = np.full((count, size, size), 6554, np.uint16)
     evidence[3] = 0
-    shown, pieces = evidence_integrators(photos, evidence, None)
+    soil = np.zeros((count, size, size), np.uint8)
+    soil[2], soil[3] = 51, 153
+    shown, pieces, lit = evidence_integrators(photos, PhotoEvidence(evidence, soil), None)
     view, ground = VirtualCamera.ortho(1.0, -1.0, 0.2, 8, 8), FocalPlane(0.0)
     mean, rays = shown.integrate(view, ground)
     assert mean.numpy() == pytest.approx(0.075 * 65535.0, rel=1e-2)
@@ -162,10 +191,14 @@ def test_photos_are_weighed_by_what_is_seen_in_them():
     colour, much = pieces.coherence(view, ground)
     assert colour.numpy()[4, 4] == pytest.approx([200.0, 40.0, 40.0], abs=1.0)
     assert much.numpy() == pytest.approx(np.sqrt(0.1 * 0.2 / 4.0), rel=1e-2)
+    of_ground, reach = lit.integrate(view, ground)
+    assert of_ground.numpy()[4, 4] == pytest.approx([77.5, 77.5, 117.5], abs=0.5)
+    assert reach.numpy() == pytest.approx(0.8, rel=1e-2)
     # what the user masks is no ray; evidence of resampled photos is brought to their size
     part = Photos(photos.flight, held, np.zeros((size, size), np.uint8), ())
     part.valid[:, : size // 2] = 255
-    halves = evidence_integrators(part, evidence[:, ::2, ::2].copy(), None)
+    small = (one[:, ::2, ::2].copy() for one in (evidence, soil))
+    halves = evidence_integrators(part, PhotoEvidence(*small), None)
     for integrator in halves:
         south, north = (
             integrator.coherence(VirtualCamera.ortho(top, -1.0, 0.2, 8, 8), ground)[1].numpy()

@@ -89,6 +89,60 @@ def test_the_image_stands_in_for_the_plain_mean():
     assert np.array_equal(grey[0], grey[1])
 
 
+def test_the_ground_is_seen_as_if_nothing_stood_on_it():
+    image, soil = scene(6), scene(7)
+    soil[50:60, 50:60] += (40.0, 0.0, -40.0)
+    rays = np.full(image.shape[:2], 30.0)
+    reach = np.full(image.shape[:2], 6.0)
+    reach[:, :30] = 0.0
+    soil[:, :30] = 0.0  # what no ray of the ground reaches has no colour
+    whole = network_input(image, rays, ground=(soil, reach))
+    named = dict(zip(CHANNELS, whole, strict=True))
+    assert named["ground red-green"][50:60, 50:60].mean() > 1.0
+    assert named["ground blue-yellow"][50:60, 50:60].mean() < -1.0
+    assert abs(named["ground light"][50:60, 50:60].mean()) < 1.0
+    assert named["ground surprise"][50:60, 50:60].mean() > named["ground surprise"].mean() + 0.5
+    colours = [
+        named[f"ground {name}"] for name in ("light", "red-green", "blue-yellow", "surprise")
+    ]
+    assert all((one[:, :30] == 0.0).all() for one in colours)
+    assert np.abs(named["ground light"][:, 31:40]).max() < 1.2  # no dark seam
+    assert np.allclose(named["ground rays"][:, 30:], 0.5 * np.log1p(6.0))
+    assert (network_input(image, rays, ground=(soil, 0.0 * reach))[19:] == 0.0).all()
+
+
+def test_clothes_in_a_shadow_stand_out_as_in_the_sun():
+    soil = scene(10)
+    soil[:, 120:] *= 0.25
+    soil[50:60, 50:60] *= (1.3, 1.0, 0.8)
+    soil[50:60, 190:200] *= (1.3, 1.0, 0.8)
+    whole = network_input(scene(11), ground=(soil, np.full(soil.shape[:2], 6.0)))
+    for name, sign in (("ground red-green", 1.0), ("ground blue-yellow", -1.0)):
+        channel = sign * whole[CHANNELS.index(name)]
+        sun, shade = (channel[50:60, x : x + 10].mean() for x in (50, 190))
+        assert min(sun, shade) > 0.8
+        assert 0.6 < shade / sun < 1.6
+
+
+def test_evidence_counts_by_the_rays_that_reach_the_ground():
+    """Of two people the same share of ground rays shows one; a sixth of the rays reaches him."""
+    rng = np.random.default_rng(8)
+    image = scene(9)
+    rays, reach = np.full(image.shape[:2], 30.0), np.full(image.shape[:2], 12.0)
+    reach[:, 120:] = 2.0
+    share = np.abs(rng.normal(0.01, 0.002, reach.shape))
+    share[90:110, 40:60] = share[90:110, 180:200] = 0.5
+    evidence = share * reach / rays
+    both = network_input(image, rays, fragments=evidence, ground=(image, reach))
+    named = dict(zip(CHANNELS, both, strict=True))
+    well, hardly = (
+        [named[name][90:110, x : x + 20].mean() for name in ("fragments", "ground fragments")]
+        for x in (40, 180)
+    )
+    assert min(*well, *hardly) > 0.5
+    assert hardly[1] / well[1] > hardly[0] / well[0]
+
+
 @pytest.mark.parametrize(
     ("image", "more", "words"),
     [
@@ -97,6 +151,11 @@ def test_the_image_stands_in_for_the_plain_mean():
         (np.zeros((4, 4)), {"footprint": np.zeros((4, 5))}, "footprint must have the image's size"),
         (np.zeros((4, 4)), {"rarity": np.zeros(4)}, "rarity must have the image's size"),
         (np.zeros((4, 4)), {"plain": np.zeros((5, 4, 3))}, "plain must have the image's size"),
+        (
+            np.zeros((4, 4)),
+            {"ground": (np.zeros((4, 4, 3)), np.zeros(4))},
+            r"ground\[1\] must have the image's size",
+        ),
     ],
 )
 def test_shapes_that_do_not_fit(image, more, words):

@@ -69,6 +69,8 @@ def make_result(
         else Detections.none()
     )
     extra = {"plain": (image * 0.5, footprint), "rarity": (image, footprint)} if rarity else {}
+    if rarity and channels == 3:
+        extra["ground"] = (image * 0.7, footprint * 0.4)
     place = (47.50001, 13.24999) if origin else (None, None)
     person = Person(1.5, -0.5, 0.0, *place, 0.4, 8.25, 3)
     photo = rng.integers(40, 90, (64, 96, 3)[: 3 if channels == 3 else 2], dtype=np.uint8)

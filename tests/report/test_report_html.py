@@ -85,6 +85,7 @@ def test_pictures_follow_the_chain(result_of) -> None:
         "plain",
         "hue",
         "rarity",
+        "ground",
         "rarity-map",
         "fragment-map",
         "footprint",
@@ -102,6 +103,9 @@ def test_what_was_not_seen_is_transparent_in_the_page(result_of) -> None:
         unseen = result_of().main.footprint == 0
         assert picture[unseen][:, 3].max() == 0
         assert picture[~unseen][:, 3].min() == 255
+    hardly = result_of().main.extra["ground"][1] < 0.25
+    assert hardly.sum() > unseen.sum()
+    assert np.array_equal(_embedded(text, "ground")[..., 3] == 0, hardly)
 
 
 def test_text_of_others_is_escaped(result_of) -> None:

@@ -31,6 +31,8 @@ def test_folder_holds_what_the_design_says(tmp_path: Path, result_of) -> None:
         np.testing.assert_array_equal(arrays["footprint"], main.footprint)
         np.testing.assert_array_equal(arrays["rarity_map"], main.rarity_map)
         np.testing.assert_array_equal(arrays["fragment_map"], main.fragment_map)
+        np.testing.assert_array_equal(arrays["ground"], main.extra["ground"][0])
+        np.testing.assert_array_equal(arrays["ground_rays"], main.extra["ground"][1])
         assert arrays["image"].dtype == arrays["footprint"].dtype == np.float32
         np.testing.assert_array_equal(arrays["world_from_camera"], main.view.world_from_camera)
         assert arrays["camera"][2] == main.view.camera.fx
@@ -56,7 +58,7 @@ def test_second_run_leaves_nothing_of_the_first(tmp_path: Path, result_of) -> No
     assert set(write_result(result_of(ortho=True), tmp_path)) == set(FILE_NAMES)
     written = write_result(result_of(rarity=False), tmp_path)
     assert {p.name for p in tmp_path.iterdir()} == {*written, "mine.txt"}
-    assert not {"rarity_map.png", "fragment_map.png", *NO_GEO} & set(written)
+    assert not {"rarity_map.png", "fragment_map.png", "ground.png", *NO_GEO} & set(written)
 
 
 def test_crash_leaves_the_earlier_files_whole(tmp_path: Path, result_of) -> None:

@@ -21,6 +21,8 @@ from train.maps import (  # noqa: E402
     FRAGMENT_COHERENCE,
     FRAGMENT_COLOUR,
     FRAGMENTS,
+    GROUND,
+    GROUND_RAYS,
     HUE_FOOTPRINT,
     LAYERS,
     PLANES,
@@ -42,11 +44,11 @@ def drawn_map(path, people=6, seed=0, side=420):
     for one in shares:
         layers[one] = np.abs(rng.normal(0.02, 0.005, (side, side)))
     layers[RAYS] = 30.0
-    layers[HUE_FOOTPRINT] = 5.0
+    layers[HUE_FOOTPRINT] = layers[GROUND_RAYS] = 5.0
     corners = rng.uniform(40, side - 80, (people, 2)).round()
     boxes = np.concatenate([corners, corners + rng.uniform(14, 36, (people, 2)).round()], axis=1)
     for x0, y0, x1, y1 in boxes.astype(int):
-        for one in (*PLANES.values(), COHERENT, FRAGMENT_COLOUR):
+        for one in (*PLANES.values(), COHERENT, FRAGMENT_COLOUR, GROUND):
             layers[one, y0:y1, x0:x1] += 40.0
         for one in shares:
             layers[one, y0:y1, x0:x1] += 0.2

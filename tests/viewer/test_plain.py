@@ -5,6 +5,7 @@ from __future__ import annotations
 import http.client
 import json
 import socket
+import time
 from collections.abc import Iterator
 from urllib.parse import urlencode
 
@@ -12,6 +13,8 @@ import cv2
 import numpy as np
 import pytest
 
+import hsvaos
+from hsvaos.demo import FOLDER
 from hsvaos.settings import Settings
 from hsvaos.viewer.plain import PlainApp
 from hsvaos.viewer.request import Focus
@@ -53,6 +56,27 @@ def test_the_page_and_its_pictures(app: PlainApp) -> None:
     expected = app.session.render(request).rgb[..., ::-1]
     assert np.abs(pictures[1].astype(int) - expected).mean() < 4.0
     assert np.abs(pictures[0].astype(int) - expected).mean() > 8.0
+
+
+def test_the_trees_vanish_once_all_photos_were_looked_into() -> None:
+    photos = Settings().with_values(photos={"scale": 0.5})
+    own = PlainApp(Session.open(hsvaos.open_flight(FOLDER), photos), port=0)
+    try:
+        pictures, states = [], []
+        end = time.monotonic() + 120.0
+        while (not states or states[-1]["soon"]) and time.monotonic() < end:
+            _, headers, content = get(own, "/picture.jpg", tab="a", layer="ground", size=128)
+            states.append(json.loads(headers["X-Status"]))
+            pictures.append(cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR))
+            time.sleep(0.2)
+        assert states[0]["soon"]
+        assert "being looked into" in states[0]["note"]
+        assert not states[-1]["soon"]
+        assert states[-1]["note"] == ""
+        apart = np.abs(pictures[0].astype(float) - pictures[-1].astype(float)).mean()
+        assert apart > 5.0
+    finally:
+        own.close()
 
 
 def test_saved_settings_and_pictures(app: PlainApp) -> None:

@@ -15,6 +15,7 @@ from hsvaos.demo import FOLDER
 from hsvaos.flight import FlightError
 from hsvaos.masking import make_masks
 from hsvaos.rendering import make_integrators
+from hsvaos.report import figures
 from hsvaos.settings import FocusSettings, MaskSettings, PhotoSettings, Settings
 from hsvaos.viewer import weights as weights_module
 from hsvaos.viewer.focus import focus_curve, sweep_pictures
@@ -59,7 +60,10 @@ def test_every_layer_comes_coarse_and_full(session: Session, request_: Request, 
     assert full.rgb.dtype == coarse.rgb.dtype == np.uint8
     assert full.rgb.shape[0] == 2 * coarse.rgb.shape[0]
     assert full.rgb.std() > 1.0
-    assert full.note == coarse.note == ""
+    waits = layer == "ground"  # nobody has looked into these photos
+    assert full.stand_in == coarse.stand_in == waits
+    assert full.note == coarse.note
+    assert ("being looked into" in full.note) == bool(full.note) == waits
 
 
 def test_bands_of_rows_are_the_whole(
@@ -180,6 +184,9 @@ def test_finds_are_those_of_a_run() -> None:
     session = Session.open(flight)
     asked = Request(session.flight.view(session.flight.centre_index), session.start)
     looked_at: list[int] = []
+    soon = session.render(replace(asked, layer="ground"))
+    assert "being looked into" in soon.note
+    assert np.array_equal(soon.rgb, session.render(replace(asked, layer="plain")).rgb)
 
     def look(stage: str, done: int, count: int) -> None:
         assert count == len(session.flight)
@@ -194,6 +201,13 @@ def test_finds_are_those_of_a_run() -> None:
     assert sorted(f.score for f in finds) == pytest.approx(
         sorted(result.main.detections.scores.tolist())
     )
+    ground = session.render(replace(asked, layer="ground"))
+    image, rays = result.main.extra["ground"]
+    assert ground.note == ""
+    expected = integral_picture(image, figures.of_ground(rays), asked.look).astype(int)
+    apart = np.abs(ground.rgb.astype(int) - expected)
+    assert apart.max() <= 3  # a few rays give another colour where one lies on the edge of a photo
+    assert (apart > 1).mean() < 1e-3
     for find in finds:
         # the place lies within its box
         low, high = find.corners.min(axis=0), find.corners.max(axis=0)
