@@ -53,7 +53,7 @@ def test_person_under_leaves_comes_first(flight: hsvaos.Flight) -> None:
     best = result.persons[0]
     assert (best.north_m, best.east_m) == pytest.approx((0.6, -0.4), abs=0.5)
     assert all(0 < done <= total for done, total in seen)
-    assert set(result.main.extra) == {"plain", "rarity"}
+    assert set(result.main.extra) == {"plain", "rarity", "ground"}
     # the person is hidden in the single photo: its colours are hardly there
     red = result.photo[..., 0].astype(float) - result.photo[..., 1]
     assert (red > 40).sum() < 60
