@@ -280,7 +280,7 @@ def evidence_integrators(
 
 
 def _as_weights(said: NDArray[Any], photos: Photos) -> NDArray[Any]:
-    """Return what was said of photos in their size, 0 where the user masks them; not its own."""
+    """Return what was said of photos, in their size, and 0 where the user masks them."""
     camera, valid = photos.flight.camera, photos.valid
     if said.shape[1:] != (camera.height, camera.width):
         said = np.stack([resized(one, camera.width, camera.height) for one in said])

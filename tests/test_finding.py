@@ -76,27 +76,18 @@ def test_the_network_sees_coherence(red_net):
     assert found.boxes_xyxy[0] == pytest.approx([95.5, 63.5, 111.5, 79.5], abs=1e-3)
 
 
-def test_the_network_sees_the_colours_of_fragments(red_net):
-    finder = make_finder(settings(model=red_net("fragment red")), 30)
+@pytest.mark.parametrize(
+    ("channel", "layer", "much"),
+    [("fragment red", "fragment_coherence", 0.1), ("ground red-green", "ground", 6.0)],
+)
+def test_the_network_sees_the_colours_of_pieces_and_of_the_ground(red_net, channel, layer, much):
+    finder = make_finder(settings(model=red_net(channel)), 30)
     shown = layers()
     rng = np.random.default_rng(1)
     evidence = np.abs(rng.normal(900.0, 90.0, (*SIZE, 1))).astype(np.float32)
     colours = rng.normal(90.0, 9.0, (*SIZE, 3)).astype(np.float32)
     shown["fragments"] = (evidence, shown["plain"][1])
-    shown["fragment_coherence"] = (colours, np.full(SIZE, 0.1, np.float32))
-    assert len(finder(shown, 0.05)) == 0
-    colours[64:80, 96:112, 0] *= 3.0
-    found = finder(shown, 0.05)
-    assert len(found) == 1
-    assert found.boxes_xyxy[0] == pytest.approx([95.5, 63.5, 111.5, 79.5], abs=1e-3)
-
-
-def test_the_network_sees_the_ground_as_if_nothing_stood_on_it(red_net):
-    finder = make_finder(settings(model=red_net("ground red-green")), 30)
-    shown = layers()
-    rng = np.random.default_rng(1)
-    colours = rng.normal(90.0, 9.0, (*SIZE, 3)).astype(np.float32)
-    shown["ground"] = (colours, np.full(SIZE, 6.0, np.float32))
+    shown[layer] = (colours, np.full(SIZE, much, np.float32))
     assert len(finder(shown, 0.05)) == 0
     colours[64:80, 96:112, 0] *= 3.0
     found = finder(shown, 0.05)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 Plane = NDArray[np.float32]
 
-_SURROUND_PX = 129
+SURROUND_PX = 129
 """Side of the surround: some three times a lying person at the finest sampling trained for."""
 
 _COARSER = 4
@@ -24,7 +24,7 @@ _LEAST_DEVIATION = 0.1
 
 
 def local_contrast(
-    picture: Plane, seen: NDArray[np.bool_], surround_px: int = _SURROUND_PX
+    picture: Plane, seen: NDArray[np.bool_], surround_px: int = SURROUND_PX
 ) -> Plane:
     """Return how far each pixel is from the mean of its surround, in deviations of that surround.
 

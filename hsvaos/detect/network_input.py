@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hsvaos.detect.contrast import local_contrast
+from hsvaos.detect.contrast import SURROUND_PX, local_contrast
 from hsvaos.detect.surprise import surprise_of_colours, surprise_of_contrasts
 
 CHANNELS = (
@@ -45,7 +45,6 @@ _LIMIT = 8.0
 _UNIT = 0.25
 """Brings contrast to about the range -1..1 that networks like."""
 
-_LIGHT_AROUND_PX = 129
 _LIGHT_SHARE = np.float32(0.1)
 """Of the light around, added before the logarithm: what is black has no colour."""
 
@@ -142,20 +141,27 @@ def network_input(
         agreed = _agreed(fragment_coherence, everywhere, "fragment_coherence")
         whole[15:18], whole[18] = agreed.contrast, agreed.coherence
     if ground is not None:
-        colour, known = _sized(ground[0], size, "ground[0]")
-        count = _fitting(ground[1], size, "ground[1]")
-        count = np.maximum(np.nan_to_num(count, nan=0.0), 0.0)  # type: ignore[arg-type]
-        known = known & (count > 0.0)
-        for k, opponent in enumerate(_opponents(colour, known)):
-            whole[19 + k] = _clipped(local_contrast(opponent[..., None], known))[0]
-        whole[22] = np.float32(_GROUND_UNIT) * np.log1p(count)
-        if colour.shape[2] == 3:
-            whole[23] = surprise_of_colours(colour, known) * np.float32(_SURPRISE_UNIT)
+        count = _ground_into(whole[19:24], ground)
         if pieces is not None:  # of all rays, brought to those that can show anybody
-            whole_sum = pieces if rays is None else pieces * np.where(seen, rays, np.float32(0.0))
-            of_ground = whole_sum / (count + np.float32(1.0))
-            whole[24] = _compressed(local_contrast(of_ground[..., None], everywhere))[0]
+            total = pieces if rays is None else pieces * np.where(seen, rays, np.float32(0.0))
+            by_ray = total / (count + np.float32(1.0))
+            whole[24] = _compressed(local_contrast(by_ray[..., None], everywhere))[0]
     return whole
+
+
+def _ground_into(out: NDArray[np.float32], ground: tuple[Any, Any]) -> NDArray[np.float32]:
+    """Fill the five channels of the ground's colours and rays, and return the rays, without NaN."""
+    colour, known = _sized(ground[0], out.shape[1:], "ground[0]")
+    rays = _fitting(ground[1], out.shape[1:], "ground[1]")
+    count = np.zeros(out.shape[1:], np.float32) if rays is None else np.nan_to_num(rays, nan=0.0)
+    count = np.maximum(count, np.float32(0.0))
+    known = known & (count > 0.0)
+    for k, opponent in enumerate(_opponents(colour, known)):
+        out[k] = _clipped(local_contrast(opponent[..., None], known))[0]
+    out[3] = np.float32(_GROUND_UNIT) * np.log1p(count)
+    if colour.shape[2] == 3:
+        out[4] = surprise_of_colours(colour, known) * np.float32(_SURPRISE_UNIT)
+    return count
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +201,7 @@ def _opponents(colour: NDArray[np.float32], known: NDArray[np.bool_]) -> list[ND
     clothes in a shadow stand out, as they would in the sun.
     """
     weight = known.astype(np.float32)
-    side = (_LIGHT_AROUND_PX, _LIGHT_AROUND_PX)
+    side = (SURROUND_PX, SURROUND_PX)
     around = cv2.blur(colour.mean(axis=2) * weight, side) / np.maximum(cv2.blur(weight, side), 1e-3)
     around = np.maximum(_LIGHT_SHARE * around, np.float32(1e-6))
     logs = np.log(np.maximum(colour, np.float32(0.0)) + around[..., None])

@@ -191,11 +191,11 @@ def checked_view(
     other, agreed = _other(plain, "plain", size), _agreed(coherence, "coherence", size)
     pieces = _map(fragments, "fragments", size)
     agreed_pieces = _agreed(fragment_coherence, "fragment_coherence", size)
-    soil = _agreed(ground, "ground", size, "rays")
-    if soil[0] is not None and soil[1] is not None and not (shown := soil[1] > 0.0).all():
-        shown = shown if soil[0].ndim == 2 else shown[..., None]
-        soil = np.where(shown, soil[0], np.float32(np.nan)), soil[1]  # no ray is not black
-    return ViewInput(picture, rays, rare, other, *agreed, pieces, *agreed_pieces, *soil)
+    soil, reach = _agreed(ground, "ground", size, "rays")
+    if soil is not None and reach is not None and not (reach > 0.0).all():  # no ray is not black
+        shown = reach > 0.0 if soil.ndim == 2 else reach[..., None] > 0.0
+        soil = np.where(shown, soil, np.float32(np.nan))
+    return ViewInput(picture, rays, rare, other, *agreed, pieces, *agreed_pieces, soil, reach)
 
 
 def windows(size: tuple[int, int], side: tuple[int, int], overlap: int) -> list[Window]:

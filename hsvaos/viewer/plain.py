@@ -27,8 +27,9 @@ from hsvaos.viewer.weights import Wanted
 
 _PAGE = Path(__file__).with_name("plain.html")
 _WAIT_S = 60.0
-_log = logging.getLogger("hsvaos")
 _LONGEST_PX = 1280
+
+_log = logging.getLogger("hsvaos")
 
 
 class PlainApp(PageServer):
