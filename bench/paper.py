@@ -28,6 +28,7 @@ from hsvaos.detect.anomaly import find_persons
 from hsvaos.detect.detections import Detections
 from hsvaos.detect.fragments import FragmentNet
 from hsvaos.detect.locate import ViewFinds, box_places, merge_views
+from hsvaos.detect.surroundings import REACH_M, with_surroundings
 from hsvaos.detect.yolo import Detector
 from hsvaos.evaluate.results import FlightResult, JudgedView
 from hsvaos.evaluate.seen import ground_seen_ha
@@ -72,12 +73,14 @@ class Method:
         score: Score from which a box is reported.
         tracks: Poses with which it is tried.
         everywhere: Whether on all seeds, or only on those of the ablation.
+        wide: Whether it sees what lies around a view, as `hsvaos.run` shows it.
     """
 
     find: Callable[[Layers], Detections]
     score: float
     tracks: tuple[str, ...] = ("true",)
     everywhere: bool = False
+    wide: bool = False
 
 
 def methods(coco: Path | None = None) -> dict[str, Method]:
@@ -139,17 +142,18 @@ def methods(coco: Path | None = None) -> dict[str, Method]:
     return {
         "AOS": Method(image("plain"), score, both, True),
         "HSV-AOS": Method(image("hue"), score, both, True),
-        "hsvaos": Method(everything(), score, both, True),
+        "hsvaos": Method(everything(), score, both, True, wide=True),
+        "all but surroundings": Method(everything(), score),
         "hue, not brightened": Method(image("hue_dark"), score),
         "ground image": Method(image("ground"), score),
         "rarity image": Method(image("rarity"), score),
         "rarity x hue image": Method(image("rarity_hue"), score),
-        "all but rays": Method(everything(rays=False), score),
-        "all but rarity map": Method(everything(rarity=False), score),
-        "all but coherence": Method(everything(coherence=False), score),
-        "all but fragments and ground": Method(everything(fragments=False), score),
-        "all but fragment colours": Method(everything(agreeing=False), score),
-        "all but ground": Method(everything(ground=False), score),
+        "all but rays": Method(everything(rays=False), score, wide=True),
+        "all but rarity map": Method(everything(rarity=False), score, wide=True),
+        "all but coherence": Method(everything(coherence=False), score, wide=True),
+        "all but fragments and ground": Method(everything(fragments=False), score, wide=True),
+        "all but fragment colours": Method(everything(agreeing=False), score, wide=True),
+        "all but ground": Method(everything(ground=False), score, wide=True),
         "peaks of rarity": Method(of_peaks("rarity_map"), peaks.min_z),
         "peaks of RX": Method(of_peaks("anomaly_map"), peaks.min_z),
         **({} if coco is None else of_coco()),
@@ -206,15 +210,25 @@ def _measure_track(
     judged: dict[str, list[JudgedView]] = {name: [] for name in use}
     reported: dict[str, list[ViewFinds]] = {name: [] for name in use}
     for k, view in zip(chosen, views, strict=True):
-        hits = focal_points(view, surface, device=by_name["plain"].device).numpy()
-        hits = hits.reshape(view.height, view.width, 4)
-        seen = ground.seen_from(view, hits)
+        around = with_surroundings(view, GSD_M, REACH_M)
+        hits = focal_points(around.view, surface, device=by_name["plain"].device).numpy()
+        hits = hits.reshape(around.view.height, around.view.width, 4)
+        seen = ground.seen_from(around.view, hits)
+        cut = {name: (around.cut(a), around.cut(b)) for name, (a, b) in seen.items()}
         truth = truth_boxes(people, view)
         for name, method in use.items():
-            found = method.find(seen)
+            if method.wide:
+                wide = method.find(seen)
+                places = box_places(wide, hits, around.view)
+                found, kept = around.within(wide)
+                places, spreads = (part[kept] for part in places)
+            else:
+                found = method.find(cut)
+                places, spreads = box_places(found, around.cut(hits), view)
             judged[name].append(JudgedView(flight.frames[k].name, found, truth))
-            sure = found.above(method.score)
-            reported[name].append(ViewFinds(view, sure, *box_places(sure, hits, view)))
+            sure = found.scores >= method.score
+            finds = ViewFinds(view, found.above(method.score), places[sure], spreads[sure])
+            reported[name].append(finds)
     detect = DetectSettings()
     return {
         name: FlightResult(

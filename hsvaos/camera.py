@@ -161,6 +161,21 @@ class Camera:
             cy=(self.cy + 0.5) * sy - 0.5,
         )
 
+    def widened(self, margin_px: int) -> Camera:
+        """Return the camera of the same picture with more of the scene on every side.
+
+        Args:
+            margin_px: Rows and columns that every side gains; the old pixel (0, 0) is at
+                (margin_px, margin_px) in the new picture [px].
+        """
+        return replace(
+            self,
+            width=self.width + 2 * margin_px,
+            height=self.height + 2 * margin_px,
+            cx=self.cx + margin_px,
+            cy=self.cy + margin_px,
+        )
+
     @property
     def max_radius(self) -> float:
         """Largest undistorted radius sqrt(x^2 + y^2), at z = 1, where the lens model may be used.

@@ -9,6 +9,7 @@ from typing import Any
 from hsvaos.detect.anomaly import find_persons
 from hsvaos.detect.detections import Detections
 from hsvaos.detect.network_input import PHOTO_LAYERS
+from hsvaos.detect.surroundings import REACH_M
 from hsvaos.settings import DetectSettings
 
 
@@ -23,11 +24,13 @@ class Finder:
         least_score: Score below which a person, seen over all views, is left out.
         find: Called with layers by name, each (image, footprint), and the ground sampling distance
             [m/px].
+        reach_m: How far beyond the border of a view it wants to see [m].
     """
 
     layers: tuple[str, ...]
     least_score: float
     find: Callable[[Mapping[str, Any], float], Detections]
+    reach_m: float = 0.0
 
     @property
     def looks_at_photos(self) -> bool:
@@ -90,6 +93,7 @@ def _network_finder(settings: DetectSettings) -> Finder:
     from hsvaos.detect.yolo import Detector
 
     detector = Detector(settings.model, settings.layout, score=settings.min_score)
+    reach_m = REACH_M if detector.layout == "hsvaos" else 0.0
     least = detector.score * settings.min_agreement
 
     def best(found: Detections) -> Detections:
@@ -116,8 +120,8 @@ def _network_finder(settings: DetectSettings) -> Finder:
         return best(found)
 
     if settings.inputs == "image" or detector.layout != "hsvaos":
-        return Finder(("chosen",), least, find_in_image)
+        return Finder(("chosen",), least, find_in_image, reach_m)
     looked_at: tuple[str, ...] = ("rarity_map", "rarity", "plain", "coherence")
     if settings.inputs == "all":
         looked_at = (*looked_at, *detector.photo_layers)
-    return Finder(looked_at, least, find_in_all)
+    return Finder(looked_at, least, find_in_all, reach_m)

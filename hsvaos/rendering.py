@@ -15,6 +15,7 @@ from hsvaos.detect.detections import Detections
 from hsvaos.detect.fragments import ONE, FragmentNet, PhotoEvidence
 from hsvaos.detect.locate import ViewFinds, box_places, pose_spread
 from hsvaos.detect.network_input import PHOTO_LAYERS
+from hsvaos.detect.surroundings import Surroundings, with_surroundings
 from hsvaos.finding import Finder
 from hsvaos.flight import Flight, FlightError
 from hsvaos.fragment_input import FragmentInput
@@ -27,6 +28,9 @@ from hsvaos.photos import Photos, Progress, resized
 from hsvaos.result import ViewResult
 from hsvaos.settings import Settings
 from hsvaos.surface import FocalSurface
+
+_COARSE = 16
+"""Pixels of a view to one of its rough copy, of which the sampling distance is asked."""
 
 
 class EvidenceIntegrators(NamedTuple):
@@ -119,16 +123,16 @@ class Renderer:
         Raises:
             FlightError: If the view sees nothing, or every pixel of it is masked.
         """
-        hits = focal_points(view, self.surface, device=self.by.plain.device).numpy()
-        hits = hits.reshape(view.height, view.width, 4)
-        layers = self._layers(view, hits, exactly=extra)
-        mean_weight, rays = layers["rarity_map"]
+        around = self._surroundings(view)
+        hits = self._hits(around.view)
+        layers = self._layers(around.view, hits, exactly=extra)
+        mean_weight, rays = (around.cut(part) for part in layers["rarity_map"])
         if not (rays > 0.0).any():
             raise FlightError(
                 f"view {name}: no photo sees the focal surface there; expected a surface below "
                 f"the cameras and within their view"
             )
-        image, footprint = layers["chosen"]
+        image, footprint = (around.cut(part) for part in layers["chosen"])
         if not (footprint > 0.0).any():
             raise FlightError(
                 f"view {name}: every pixel is masked (mask {self.settings.mask.method}); use fewer "
@@ -136,17 +140,33 @@ class Renderer:
             )
         found = Detections.none()
         if self.finder is not None:
-            found = self.finder(layers, sampling_distance(view, hits))
-        places, covariances = box_places(found, hits, view)
+            found = self.finder(layers, sampling_distance(view, around.cut(hits)))
+        places, covariances = box_places(found, hits, around.view)
+        found, kept = around.within(found)
+        places, covariances = places[kept], covariances[kept]
         if self.pose_covariances is not None:
             photos = self.by.plain
             of_poses = (photos.camera, photos.world_from_camera, self.pose_covariances)
             covariances = covariances + pose_spread(places, *of_poses)
         others = self._others(view) if extra else {}
-        pieces = layers["fragments"][0][..., 0] / ONE if "fragments" in layers else None
+        pieces = None
+        if "fragments" in layers:
+            pieces = around.cut(layers["fragments"][0][..., 0] / ONE)
         maps = (mean_weight[..., 0], rays)
         result = ViewResult(name, view, image, footprint, *maps, found, others, pieces)
         return result, ViewFinds(view, found, places, covariances)
+
+    def _surroundings(self, view: VirtualCamera) -> Surroundings:
+        if self.finder is None or self.finder.reach_m == 0.0 or view.camera is None:
+            return Surroundings(view, 0)
+        size = [-(-side // _COARSE) for side in view.size]
+        coarse = VirtualCamera(view.camera.scaled(*size), view.world_from_camera)
+        gsd_m = sampling_distance(coarse, self._hits(coarse)) * size[0] / view.width
+        return with_surroundings(view, gsd_m, self.finder.reach_m)
+
+    def _hits(self, view: VirtualCamera) -> NDArray[np.float32]:
+        hits = focal_points(view, self.surface, device=self.by.plain.device).numpy()
+        return np.asarray(hits.reshape(view.height, view.width, 4))
 
     def _needed(self) -> tuple[str, ...]:
         looked_at = self.finder.layers if self.finder is not None else ()
@@ -296,6 +316,8 @@ def _resized_masks(valid: NDArray[np.uint8], width: int, height: int) -> NDArray
 def sampling_distance(view: VirtualCamera, hits: NDArray[np.float32]) -> float:
     """Return the ground sampling distance of a view [m/px], the median over its pixels.
 
+    NaN where it sees no ground.
+
     Args:
         view: The virtual camera.
         hits: Shape (H, W, 4), from `focal_points`: places relative to the view's centre, and 1.
@@ -304,4 +326,4 @@ def sampling_distance(view: VirtualCamera, hits: NDArray[np.float32]) -> float:
         return view.gsd_m
     sparse = hits[::8, ::8] if (hits[::8, ::8, 3] > 0.0).any() else hits
     depths = sparse[sparse[..., 3] > 0.0][:, :3] @ view.world_from_camera[:3, 2]
-    return float(np.median(depths)) / view.camera.fx
+    return float(np.median(depths)) / view.camera.fx if depths.size else float("nan")
