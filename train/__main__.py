@@ -10,19 +10,13 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
-from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
-from hsvaos.detect.fragments import FragmentNet
 from hsvaos.kernels.device import quiet_start
-from train.flights import FIRST_TRAINING_SEED, FIRST_TUNING_SEED, flight_settings, make_flight
+from train.flights import FIRST_TRAINING_SEED, FIRST_TUNING_SEED, flight_settings
 from train.fragment_crops import make_crops
-from train.maps import CONDITIONS, SEARCH_CONDITIONS, make_maps
+from train.stages import each, flight_stage, maps_stage, seeds_of
 
 FOLDS = 2
 """Evidence in a training map comes from a network that never saw the flight: by seed, even or odd.
@@ -32,36 +26,12 @@ _LEFT_FOR_LOSS = 2
 """Flights on which the fragment network's loss is measured."""
 
 
-def _flight(flights: Path, seed: int) -> str:
-    quiet_start()
-    return make_flight(seed, flights).name
-
-
 def _crops(flights: Path, crops: Path, seed: int) -> str:
     quiet_start()
     flight, target = flights / f"flight_{seed}", crops / f"flight_{seed}.npz"
     if not target.exists() and not flight_settings(seed).thermal:
         make_crops(flight, target)
     return flight.name
-
-
-def _maps(flights: Path, maps: Path, nets: list[Path], seed: int) -> str:
-    quiet_start()
-    flight, search = flights / f"flight_{seed}", seed >= FIRST_TUNING_SEED
-    count = SEARCH_CONDITIONS if search else CONDITIONS
-    done = [maps / f"{flight.name}_{k}.npz" for k in range(count)]
-    if not all(path.exists() for path in done):
-        net = FragmentNet(nets[seed % len(nets)], threads=1)
-        make_maps(flight, maps, search=search, fragments=net)
-    return flight.name
-
-
-def _each(what: str, make: Callable[[int], str], seeds: range, workers: int) -> None:
-    with ProcessPoolExecutor(workers) as pool:
-        began = time.monotonic()
-        for number, name in enumerate(pool.map(make, seeds)):
-            past = time.monotonic() - began
-            print(f"{what} [{number + 1}/{len(seeds)}] {name}, {past:.0f} s", flush=True)
 
 
 def train_fragments(work: Path, crops: Path, steps: int) -> tuple[Path, list[Path]]:
@@ -129,14 +99,14 @@ def main() -> int:
         folder.mkdir(parents=True, exist_ok=True)
     seeds = range(asked.first, asked.first + asked.flights)
     tuning_seeds = range(FIRST_TUNING_SEED, FIRST_TUNING_SEED + asked.tuning)
-    _each("flights", partial(_flight, flights), seeds, asked.workers)
-    _each("tuning flights", partial(_flight, searches), tuning_seeds, asked.workers)
+    each("flights", partial(flight_stage, flights), seeds, asked.workers)
+    each("tuning flights", partial(flight_stage, searches), tuning_seeds, asked.workers)
     net, halves = asked.fragments, [asked.fragments]
     if net is None:
-        _each("crops of photos", partial(_crops, flights, crops), seeds, asked.workers)
+        each("crops of photos", partial(_crops, flights, crops), seeds, asked.workers)
         net, halves = train_fragments(work, crops, asked.fragment_steps)
-    _each("maps", partial(_maps, flights, maps, halves), seeds, asked.workers)
-    _each("tuning maps", partial(_maps, searches, tuning, [net]), tuning_seeds, asked.workers)
+    each("maps", partial(maps_stage, flights, maps, halves), seeds, asked.workers)
+    each("tuning maps", partial(maps_stage, searches, tuning, [net]), tuning_seeds, asked.workers)
     return train(work, maps, tuning, asked)
 
 
@@ -164,8 +134,8 @@ def train(work: Path, maps: Path, tuning: Path, asked: argparse.Namespace) -> in
     score = threshold(net, held_out)
     story = {
         "recipe": "python -m train",
-        "training_seeds": _seeds(maps),
-        "tuning_seeds": _seeds(tuning),
+        "training_seeds": seeds_of(maps),
+        "tuning_seeds": seeds_of(tuning),
         "steps": asked.steps,
         "crops": asked.steps * BATCH,
         "started_from": asked.start_from.name if asked.start_from else "new weights",
@@ -175,14 +145,6 @@ def train(work: Path, maps: Path, tuning: Path, asked: argparse.Namespace) -> in
     export(net, work / "person.onnx", score, story)
     print(f"{work / 'person.onnx'}: threshold {score:.3f}, {figures}", flush=True)
     return 0
-
-
-def _seeds(maps: Path) -> str:
-    seeds = sorted({int(path.stem.split("_")[1]) for path in maps.glob("*_0.npz")})
-    jumps = np.flatnonzero(np.diff(seeds) != 1)
-    starts = [seeds[0], *(seeds[k + 1] for k in jumps)]
-    ends = [*(seeds[k] for k in jumps), seeds[-1]]
-    return ", ".join(f"{a}-{b}" for a, b in zip(starts, ends, strict=True))
 
 
 if __name__ == "__main__":
