@@ -17,12 +17,14 @@ from hsvaos.detect.fragments import FragmentNet
 from hsvaos.detect.layouts import own_channels
 from hsvaos.detect.network import Network
 from hsvaos.detect.network_input import CHANNELS, network_input
+from hsvaos.detect.second_look import PACKAGED_SECOND_LOOK, SecondLook, facts_of, patch
 from hsvaos.detect.yolo import PACKAGED
 from hsvaos.fragment_input import FragmentInput
 from hsvaos.kernels.rarity import rarity_model
 from hsvaos.settings import DetectSettings
 
 VIEWS = 2 if SMOKE else 117
+LOOKS = 4 if SMOKE else 100
 
 
 def layers(count: int, side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -83,11 +85,36 @@ def pieces() -> Contenders:
     }
 
 
+def second_looks() -> Contenders:
+    rng = np.random.default_rng(3)
+    planes = rng.normal(size=(len(CHANNELS), size(1024), size(1024))).astype(np.float32)
+    corners = rng.uniform(0, size(1024) - 40, (LOOKS, 2))
+    boxes = np.concatenate([corners, corners + rng.uniform(15, 40, (LOOKS, 2))], axis=1)
+    boxes, scores = boxes.astype(np.float32), np.full(LOOKS, 0.5, np.float32)
+    second, alone = SecondLook(provider="cpu"), Network(PACKAGED_SECOND_LOOK, "cpu")
+    held = np.ascontiguousarray(np.moveaxis(planes, 0, 2))
+    views = np.ascontiguousarray(np.moveaxis(np.stack([patch(held, b) for b in boxes]), 3, 1))
+    feeds = {alone.picture.name: views, "facts": facts_of(boxes, scores)}
+    network = cv2.dnn.readNetFromONNX(str(PACKAGED_SECOND_LOOK))
+
+    def opencv() -> None:
+        for name, values in feeds.items():
+            network.setInput(values, name)
+        network.forward(network.getUnconnectedOutLayersNames())
+
+    return {
+        "hsvaos SecondLook": lambda: second(planes, boxes, scores),
+        "  of it the network": lambda: alone.run(feeds),
+        "OpenCV dnn, the network alone": opencv,
+    }
+
+
 RACES: dict[str, Callable[[], Contenders]] = {
     "people in a view of 512 px": one_view(512),
     "people in a view of 1024 px": one_view(1024),
     f"people in {VIEWS} views of 512 px": many_views,
     "pieces of people in a photo of 1024 px": pieces,
+    f"a second look at {LOOKS} boxes": second_looks,
 }
 
 

@@ -29,7 +29,7 @@ from hsvaos.detect.detections import Detections
 from hsvaos.detect.fragments import FragmentNet
 from hsvaos.detect.locate import ViewFinds, box_places, merge_views
 from hsvaos.detect.surroundings import REACH_M, with_surroundings
-from hsvaos.detect.yolo import Detector
+from hsvaos.detect.yolo import PACKAGED, Detector
 from hsvaos.evaluate.results import FlightResult, JudgedView
 from hsvaos.evaluate.seen import ground_seen_ha
 from hsvaos.evaluate.truth import read_truth, truth_boxes
@@ -92,6 +92,7 @@ def methods(coco: Path | None = None) -> dict[str, Method]:
     """
     detector = Detector(score=FLOOR)
     score = Detector().score
+    once = Detector(PACKAGED.read_bytes(), score=FLOOR)
     peaks = DetectSettings()
 
     def image(name: str) -> Callable[[Layers], Detections]:
@@ -105,10 +106,11 @@ def methods(coco: Path | None = None) -> dict[str, Method]:
         fragments: bool = True,
         agreeing: bool = True,
         ground: bool = True,
+        network: Detector = detector,
     ) -> Callable[[Layers], Detections]:
         def find(layers: Layers) -> Detections:
             rare, count = layers["rarity_map"]
-            return detector.detect(
+            return network.detect(
                 layers["rarity"][0],
                 footprint=count if rays else None,
                 rarity=rare[..., 0] if rarity else None,
@@ -148,6 +150,7 @@ def methods(coco: Path | None = None) -> dict[str, Method]:
         "ground image": Method(image("ground"), score),
         "rarity image": Method(image("rarity"), score),
         "rarity x hue image": Method(image("rarity_hue"), score),
+        "one look": Method(everything(network=once), score, wide=True),
         "all but rays": Method(everything(rays=False), score, wide=True),
         "all but rarity map": Method(everything(rarity=False), score, wide=True),
         "all but coherence": Method(everything(coherence=False), score, wide=True),
@@ -288,20 +291,17 @@ def run(flights: Path, results: Path, part: int, parts: int, coco: Path | None) 
     results.mkdir(parents=True, exist_ok=True)
     known = methods(coco)
     folders = sorted(p for p in flights.iterdir() if (p / "truth.json").exists())
-    folders.sort(key=lambda p: p.name.rsplit("_", 1)[::-1])  # seed by seed, all forests
-    first = [f"_{seed}" for seed in range(FIRST_SEED, FIRST_SEED + ABLATION_SEEDS)]
-    for everywhere in (True, False):  # what all tables need comes first
-        for folder in folders[part::parts]:
-            wanted: dict[str, dict[str, Method]] = {"true": {}, "ekf": {}}
-            for name, method in known.items():
-                if method.everywhere == everywhere and (
-                    everywhere or folder.name.endswith(tuple(first))
-                ):
-                    for track in method.tracks:
-                        if not _file(results, folder.name, track, name).exists():
-                            wanted[track][name] = method
-            if any(wanted.values()):
-                _measure_all(folder, wanted, results)
+    folders.sort(key=lambda p: p.name.rsplit("_", 1)[::-1], reverse=True)  # all forests in turn
+    ablated = tuple(f"_{seed}" for seed in range(FIRST_SEED, FIRST_SEED + ABLATION_SEEDS))
+    for folder in folders[part::parts]:  # those of the ablation, which take longest, come last
+        wanted: dict[str, dict[str, Method]] = {"true": {}, "ekf": {}}
+        for name, method in known.items():
+            if method.everywhere or folder.name.endswith(ablated):
+                for track in method.tracks:
+                    if not _file(results, folder.name, track, name).exists():
+                        wanted[track][name] = method
+        if any(wanted.values()):
+            _measure_all(folder, wanted, results)
 
 
 def _measure_all(folder: Path, wanted: dict[str, dict[str, Method]], results: Path) -> None:

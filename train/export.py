@@ -62,6 +62,8 @@ def as_onnx(
     path: Path,
     outputs: dict[str, dict[int, str]],
     facts: dict[str, str],
+    others: dict[str, int] | None = None,
+    any_size: bool = True,
 ) -> None:
     """Write a network of one picture as ONNX, dynamic in batch and size; it must equal torch.
 
@@ -71,22 +73,29 @@ def as_onnx(
         path: The file.
         outputs: Free axes of each output, by name.
         facts: Its metadata.
+        others: Further inputs (batch, n), n by name.
+        any_size: Whether pictures may have another size than the example.
 
     Raises:
         RuntimeError: If onnxruntime gives other results than torch.
     """
     part = path.with_name(path.name + ".part")
+    lengths = others or {}
     with warnings.catch_warnings():
         warnings.simplefilter(
             "ignore"
         )  # torch would rather export in its new way, which needs more
         torch.onnx.export(
             module,
-            (torch.zeros(1, *example),),
+            (torch.zeros(1, *example), *(torch.zeros(1, n) for n in lengths.values())),
             str(part),
-            input_names=["input"],
+            input_names=["input", *lengths],
             output_names=list(outputs),
-            dynamic_axes={"input": {0: "batch", 2: "height", 3: "width"}, **outputs},
+            dynamic_axes={
+                "input": {0: "batch", **({2: "height", 3: "width"} if any_size else {})},
+                **{name: {0: "batch"} for name in lengths},
+                **outputs,
+            },
             opset_version=_OPSET,
             dynamo=False,
         )
@@ -96,21 +105,29 @@ def as_onnx(
         entry.key, entry.value = key, value
     onnx.checker.check_model(model)
     onnx.save(model, str(part))
-    _compare(module, example[0], list(outputs), part)
+    size = (10 * MULTIPLE, 7 * MULTIPLE) if any_size else example[1:]
+    _compare(module, (example[0], *size), lengths, list(outputs), part)
     part.replace(path)
 
 
-def _compare(module: nn.Module, channels: int, outputs: list[str], path: Path) -> None:
-    """Raise unless onnxruntime gives what torch gives, at another size than the example's."""
+def _compare(
+    module: nn.Module,
+    picture: tuple[int, int, int],
+    lengths: dict[str, int],
+    outputs: list[str],
+    path: Path,
+) -> None:
+    """Raise unless onnxruntime gives what torch gives, of pictures of a shape (C, H, W)."""
     import onnxruntime
 
     rng = np.random.default_rng(0)
-    size = 10 * MULTIPLE, 7 * MULTIPLE
-    x = rng.standard_normal((2, channels, *size), dtype=np.float32)
+    feeds = {"input": rng.standard_normal((2, *picture), dtype=np.float32)}
+    for name, length in lengths.items():
+        feeds[name] = rng.standard_normal((2, length), dtype=np.float32)
     session = onnxruntime.InferenceSession(path.read_bytes(), providers=["CPUExecutionProvider"])
-    have = session.run(outputs, {"input": x})
+    have = session.run(outputs, feeds)
     with torch.no_grad():
-        found = module(torch.from_numpy(x))
+        found = module(*(torch.from_numpy(x) for x in feeds.values()))
     want = [part.numpy() for part in (found if isinstance(found, tuple) else (found,))]
     for ours, theirs in zip(have, want, strict=True):
         if not np.allclose(ours, theirs, rtol=1e-3, atol=1e-3):

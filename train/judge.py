@@ -8,26 +8,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import nn
 
 from hsvaos.detect.few_rays import doubted
-from hsvaos.detect.network_input import AIM_GSD_M, TRAINED_GSD_M, network_input
 from hsvaos.evaluate.detection import Matches, match_boxes
-from train.maps import (
-    COHERENCE,
-    COHERENT,
-    FRAGMENT_COHERENCE,
-    FRAGMENT_COLOUR,
-    FRAGMENTS,
-    GROUND,
-    GROUND_RAYS,
-    PLANES,
-    RARITY_MAP,
-    RAYS,
-    agreed_in,
-)
+from train.looks import input_of
 from train.net import MULTIPLE, Exported, PersonNet
-from train.samples import LEAST_RAYS_SEEN, at_sampling
+from train.samples import LEAST_RAYS_SEEN
 
 REACHED = 1.5
 """Unoccluded rays a point from which a person is to be found; others are ignored."""
@@ -35,7 +23,8 @@ REACHED = 1.5
 IOUS = (0.10, 0.25, 0.50)
 
 _FLOOR = 0.02
-_NMS = 0.25
+NMS_IOU = 0.25
+"""Overlap from which two boxes are one person."""
 
 
 def finds(net: nn.Module, whole: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -54,7 +43,7 @@ def finds(net: nn.Module, whole: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     chosen = np.flatnonzero(scores > _FLOOR)
     boxes, scores = boxes[chosen], scores[chosen]
     corners = np.concatenate([boxes[:, :2], boxes[:, 2:] - boxes[:, :2]], axis=1)
-    kept = np.array(cv2.dnn.NMSBoxes(corners.tolist(), scores.tolist(), _FLOOR, _NMS), dtype=int)
+    kept = np.array(cv2.dnn.NMSBoxes(corners.tolist(), scores.tolist(), _FLOOR, NMS_IOU), dtype=int)
     return boxes[kept.reshape(-1)], scores[kept.reshape(-1)]
 
 
@@ -117,27 +106,36 @@ def matched(net: PersonNet, paths: list[Path], ious: tuple[float, ...]) -> dict[
     exported = Exported(net).eval()
     parts: dict[float, list[Matches]] = {iou: [] for iou in ious}
     for path in paths:
-        with np.load(path) as data:
-            layers = data["layers"].astype(np.float32)
-            truth, rays, gsd = data["boxes"], data["rays"], float(data["gsd"])
-            pieces = bool(data["fragments"])
-        if not TRAINED_GSD_M[0] <= gsd <= TRAINED_GSD_M[1]:  # as the detector does
-            layers, truth = at_sampling(layers, truth, gsd, AIM_GSD_M)
-        whole = network_input(
-            np.moveaxis(layers[PLANES["rarity"]], 0, 2),
-            layers[RAYS],
-            layers[RARITY_MAP],
-            np.moveaxis(layers[PLANES["plain"]], 0, 2),
-            agreed_in(layers, COHERENT, COHERENCE),
-            layers[FRAGMENTS] if pieces else None,
-            agreed_in(layers, FRAGMENT_COLOUR, FRAGMENT_COHERENCE) if pieces else None,
-            agreed_in(layers, GROUND, GROUND_RAYS) if pieces else None,
-        )
+        whole, seen_by, people, reach = input_of(path, None)
         boxes, scores = finds(exported, whole)
-        scores = doubted(boxes + 0.5, scores, layers[RAYS])  # as the detector does
-        corner = np.array([whole.shape[2] - 1, whole.shape[1] - 1])
-        middle = np.clip(np.rint(0.5 * (boxes[:, :2] + boxes[:, 2:])), 0, corner).astype(int)
-        seen = layers[RAYS][middle[:, 1], middle[:, 0]] >= LEAST_RAYS_SEEN
-        for iou, own in parts.items():
-            own.append(match_boxes(boxes[seen], scores[seen], truth, iou, ignore=rays < REACHED))
+        for iou, own in matched_finds(boxes, scores, seen_by, people, reach, ious).items():
+            parts[iou].append(own)
     return {iou: Matches.join(own) for iou, own in parts.items()}
+
+
+def matched_finds(
+    boxes: NDArray[np.float32],
+    scores: NDArray[np.float32],
+    rays: NDArray[np.float32],
+    people: NDArray[np.float32],
+    reach: NDArray[np.float32],
+    ious: tuple[float, ...],
+) -> dict[float, Matches]:
+    """Return the finds of one map, doubted as the detector does, matched with the truth, by IoU.
+
+    Args:
+        boxes: Shape (N, 4), pixel centres at integers [px].
+        scores: Shape (N,), 0..1.
+        rays: Shape (H, W), rays of each pixel.
+        people: Shape (K, 4) [px].
+        reach: Shape (K,), unoccluded rays a point; those below `REACHED` do not count.
+        ious: Thresholds.
+    """
+    scores = doubted(boxes + 0.5, scores, rays)
+    corner = np.array([rays.shape[1] - 1, rays.shape[0] - 1])
+    middle = np.clip(np.rint(0.5 * (boxes[:, :2] + boxes[:, 2:])), 0, corner).astype(int)
+    seen = rays[middle[:, 1], middle[:, 0]] >= LEAST_RAYS_SEEN
+    return {
+        iou: match_boxes(boxes[seen], scores[seen], people, iou, ignore=reach < REACHED)
+        for iou in ious
+    }

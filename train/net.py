@@ -32,7 +32,13 @@ def conv(before: int, after: int, size: int = 3, stride: int = 1) -> nn.Sequenti
     )
 
 
-class _Residual(nn.Module):
+class Residual(nn.Module):
+    """Two convolutions, added to what comes in.
+
+    Args:
+        width: Channels.
+    """
+
     def __init__(self, width: int) -> None:
         super().__init__()
         self.first = conv(width, width)
@@ -41,6 +47,7 @@ class _Residual(nn.Module):
         )
 
     def forward(self, x: Tensor) -> Tensor:
+        """Return features of the same shape."""
         return F.relu(x + self.second(self.first(x)), inplace=True)
 
 
@@ -61,12 +68,10 @@ class PersonNet(nn.Module):
         first, second, middle, deep, head = widths
         self.channels = channels
         self.stem = nn.Sequential(
-            conv(channels, first, 5, 2), conv(first, second, 3, 2), _Residual(second)
+            conv(channels, first, 5, 2), conv(first, second, 3, 2), Residual(second)
         )
-        self.middle = nn.Sequential(
-            conv(second, middle, 3, 2), _Residual(middle), _Residual(middle)
-        )
-        self.deep = nn.Sequential(conv(middle, deep, 3, 2), _Residual(deep))
+        self.middle = nn.Sequential(conv(second, middle, 3, 2), Residual(middle), Residual(middle))
+        self.deep = nn.Sequential(conv(middle, deep, 3, 2), Residual(deep))
         self.lift = conv(deep, middle, 1)
         self.join = conv(2 * middle, middle)
         self.head = conv(middle, head)

@@ -84,6 +84,11 @@ class ViewInput:
         return None if known.all() else known
 
     @property
+    def all_known(self) -> bool:
+        """Whether nothing is missing that may go with an image."""
+        return all(part is not None for part in self._others)
+
+    @property
     def any_seen(self) -> bool:
         """Whether a pixel is seen at all."""
         return self.seen is None or bool(self.seen.any())

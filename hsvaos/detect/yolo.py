@@ -17,6 +17,7 @@ from hsvaos.detect.feed import OwnFeed, PhotoFeed, Tile
 from hsvaos.detect.few_rays import doubted
 from hsvaos.detect.layouts import class_count, layout_of
 from hsvaos.detect.network import Network
+from hsvaos.detect.second_look import PACKAGED_SECOND_LOOK, SecondLook
 from hsvaos.detect.suppress import clipped, suppress, usable
 from hsvaos.detect.view_input import ViewInput, checked_view
 
@@ -118,6 +119,9 @@ class Detector:
             self._feed = PhotoFeed(self._network, self._layout, side, part)
         self.photo_layers = self._feed.photo_layers
         self.score = self._feed.score if score is None else _share(score, "score")
+        self._to_look_again: Callable[[], SecondLook] | None = None
+        if packaged and PACKAGED_SECOND_LOOK.is_file():
+            self._to_look_again = lambda: SecondLook(PACKAGED_SECOND_LOOK, provider, threads)
         self._for_grey: Callable[[], Detector] | None = None
         if packaged and PACKAGED_GREY.is_file():
             self._for_grey = lambda: Detector(
@@ -129,6 +133,11 @@ class Detector:
                 max_finds=max_finds,
                 threads=threads,
             )
+
+    @cached_property
+    def _second_look(self) -> SecondLook | None:
+        """What looks again at views of which everything is known, read when the first one comes."""
+        return None if self._to_look_again is None else self._to_look_again()
 
     @cached_property
     def _grey(self) -> Detector | None:
@@ -272,6 +281,8 @@ class Detector:
         )
         for batch in self._batches(tiles):
             for tile, found, strength in zip(batch, *self._run(batch), strict=True):
+                if views[tile.view].all_known and self._second_look is not None:
+                    found, strength = self._second_look.at(tile.planes, found, strength)
                 good = usable(found, strength, least)
                 places, kept = tile.back(found[good])
                 boxes[tile.view].append(places[kept])

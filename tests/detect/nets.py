@@ -7,6 +7,7 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 
 from hsvaos.detect.network_input import CHANNELS
+from hsvaos.detect.second_look import LOOK_PX
 
 SIDE = 96
 """Side of the input of networks of a fixed size [px]."""
@@ -224,3 +225,28 @@ def own_net(
     net.named(score, "scores")
     inputs = {"input": (_shape(dynamic, batch, channels), TensorProto.FLOAT)}
     return net.model(inputs, {"boxes": 3, "scores": 2}, told)
+
+
+def second_net(
+    channel: str, gain: float, shifts: tuple[float, float, float, float], bias: float = 0.0
+) -> bytes:
+    """A network of the second look: the logit it is told, plus the mean of a channel; fixed shifts.
+
+    A bias is added to the logit.
+    """
+    net = Net()
+    weights = np.zeros((len(CHANNELS) + 1, 1))
+    weights[CHANNELS.index(channel)] = gain
+    means = net.node("ReduceMean", "input", axes=[2, 3], keepdims=0)
+    told = net.node("Slice", "facts", *(net.const([n], np.int64) for n in (0, 1, 1)))
+    logit = net.node("Add", told, net.node("MatMul", means, net.const(weights)))
+    score = net.node("Sigmoid", net.node("Add", logit, net.const(bias)))
+    net.named(net.node("Reshape", score, net.const([-1], np.int64)), "scores")
+    nothing = net.node("Mul", told, net.const(0.0))
+    net.named(net.node("Add", nothing, net.const([shifts])), "shifts")
+    inputs = {
+        "input": (["b", len(CHANNELS) + 1, LOOK_PX, LOOK_PX], TensorProto.FLOAT),
+        "facts": (["b", 3], TensorProto.FLOAT),
+    }
+    outputs = {"scores": 1, "shifts": 2}
+    return net.model(inputs, outputs, {"channels": ",".join(CHANNELS)})

@@ -1,0 +1,186 @@
+"""The second look's recipe: its looks, labels, and fit, on drawn maps (extra `train`)."""
+
+import json
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="needs pip install 'hsvaos[train]'")
+pytest.importorskip("onnx", reason="needs pip install 'hsvaos[train]'")
+
+from hsvaos.detect.network import Network  # noqa: E402
+from hsvaos.detect.network_input import CHANNELS  # noqa: E402
+from hsvaos.detect.second_look import FLOOR, LOOK_PX, SecondLook, facts_of, moved  # noqa: E402
+from tests.detect.nets import own_net  # noqa: E402
+from tests.train.test_recipe import drawn_map  # noqa: E402
+from train.looks import Look, make_look, read_look  # noqa: E402
+from train.second_fit import collate, drawn, fit_second, loss_of, shifted  # noqa: E402
+from train.second_judge import (  # noqa: E402
+    looked_again,
+    matched_again,
+    most_expected,
+    threshold_shift,
+)
+from train.second_net import (  # noqa: E402
+    ExportedSecond,
+    MeanOfNets,
+    SecondNet,
+    export_second,
+)
+
+
+def first_network(path):
+    weights = [0.0] * len(CHANNELS)
+    weights[CHANNELS.index("ground light")] = 2.0
+    path.write_bytes(own_net(weights, -2.0))
+    return Network(path)
+
+
+def a_look(people, boxes, reach=None):
+    boxes = np.array(boxes, np.float32).reshape(-1, 4)
+    layers = np.zeros((100, 100, len(CHANNELS)), np.float16)
+    reach = np.full(len(people), 9.0) if reach is None else np.array(reach)
+    people = np.array(people, np.float32).reshape(-1, 4)
+    rays = np.full((100, 100), 30.0, np.float16)
+    scores = np.full(len(boxes), 0.3, np.float32)
+    return Look(layers, rays, boxes, scores, people, reach)
+
+
+def test_candidates_are_people_nobody_or_not_taught():
+    people = [[20, 20, 40, 40], [60, 60, 80, 80]]
+    boxes = [
+        [20, 20, 40, 40],  # the first
+        [62, 60, 82, 80],  # the second, whom no ray reaches
+        [0, 60, 20, 80],  # nobody
+        [33, 20, 53, 40],  # 7 / 33 of the first: still
+        [37, 20, 57, 40],  # 3 / 37: neither
+        [29, 29, 31, 31],  # in the middle of the first, but a hundredth of it
+    ]
+    found = a_look(people, boxes, reach=[9.0, 0.5])
+    assert found.whose.tolist() == [0, -2, -1, 0, -2, -2]
+    assert a_look([], boxes).whose.tolist() == [-1] * len(boxes)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_variations_keep_the_box_over_what_it_shows(seed):
+    rng = np.random.default_rng(seed)
+    look = a_look([[40, 30, 62, 44]], [[38, 30, 60, 46]])
+    look.layers[30:45, 40:63, 0] = 1.0
+    for _ in range(20):
+        view, facts, box, person, is_person = drawn(look, 0, rng)
+        assert view.shape == (LOOK_PX, LOOK_PX, len(CHANNELS) + 1)
+        assert is_person
+        x0, y0, x1, y1 = np.rint(person).astype(int)
+        assert view[y0 + 1 : y1, x0 + 1 : x1, 0].min() > 0.4
+        assert view[: y0 - 2, :, 0].max(initial=0.0) < 0.1
+        assert view[:, : x0 - 2, 0].max(initial=0.0) < 0.1
+        rows, columns = np.nonzero(view[..., -1] > 0.5)
+        edges = [columns.min(), rows.min(), columns.max(), rows.max()]
+        # whole pixels lie up to one within the box, enlarged by 80 / 72, and are interpolated
+        np.testing.assert_allclose(edges, box, atol=80 / 72 + 0.5)
+        np.testing.assert_allclose(0.5 * (box[:2] + box[2:]), 0.5 * (LOOK_PX - 1), atol=0.6)
+        assert np.exp(facts[1]) * 32.0 == pytest.approx(box[2] - box[0], rel=0.35)
+
+
+def test_boxes_move_in_training_as_in_use():
+    rng = np.random.default_rng(1)
+    corners = rng.uniform(0, 90, (40, 2))
+    boxes = np.concatenate([corners, corners + rng.uniform(3, 40, (40, 2))], 1).astype(np.float32)
+    shifts = rng.normal(0.0, 0.8, (40, 4)).astype(np.float32)
+    have = shifted(torch.from_numpy(boxes), torch.from_numpy(shifts)).numpy()
+    np.testing.assert_allclose(have, moved(boxes, shifts), rtol=1e-4, atol=1e-3)
+
+
+def test_a_new_network_has_the_first_ones_opinion():
+    net = SecondNet().eval()
+    views, facts = torch.randn(3, len(CHANNELS) + 1, LOOK_PX, LOOK_PX), torch.randn(3, 3)
+    with torch.no_grad():
+        logits, shifts = net(views, facts)
+    assert torch.equal(logits, facts[:, 0])
+    assert not shifts.any()
+
+
+def test_the_second_look_learns_and_is_exported_as_it_was_trained(tmp_path):
+    first = first_network(tmp_path / "first.onnx")
+    looks = tmp_path / "looks"
+    looks.mkdir()
+    for seed in range(2):
+        made = drawn_map(tmp_path / f"flight_{seed}_0.npz", seed=seed)
+        make_look(made, looks, first)
+    paths = sorted(looks.glob("*.npz"))
+    whole = [read_look(path) for path in paths]
+    assert all((one.scores >= FLOOR).all() and (one.whose >= 0).any() for one in whole)
+    net = fit_second(paths, tmp_path / "out", steps=25, workers=0, rate=3e-3)
+    rng = np.random.default_rng(5)
+    chosen = [(one, int(k)) for one in whole for k in np.flatnonzero(one.whose != -2)]
+    batch = collate([drawn(one, k, rng) for one, k in chosen])
+    torch.manual_seed(0)
+    before, after = (
+        {k: float(v.detach()) for k, v in loss_of(some.eval(), batch).items()}
+        for some in (SecondNet(), net)
+    )
+    assert after["score"] < before["score"]
+    matches = matched_again(net, whole)
+    assert len(matches[0.25].curve().recall)
+    export_second(net, tmp_path / "second.onnx", 0.4, {"recipe": "test"})
+    shipped = SecondLook(tmp_path / "second.onnx")
+    look = whole[0]
+    planes = np.moveaxis(look.layers, 2, 0).astype(np.float32)
+    boxes, scores = shipped(planes, look.boxes, look.scores)
+    views = [np.float32(one) for one in (look.boxes, look.scores)]
+    with torch.no_grad():
+        patches = torch.from_numpy(np.moveaxis(_patches(look), 3, 1))
+        want = ExportedSecond(net)(patches, torch.from_numpy(facts_of(*views)))
+    logits = np.log(scores / (1.0 - scores)) - 0.4
+    np.testing.assert_allclose(1.0 / (1.0 + np.exp(-logits)), want[0].numpy(), atol=2e-3)
+    np.testing.assert_allclose(boxes, moved(look.boxes, want[1].numpy()), atol=0.05)
+    assert len(looked_again(net, look)[0]) <= len(boxes)
+    meta = json.loads(Network(tmp_path / "second.onnx").metadata["training"])
+    assert meta == {"recipe": "test"}
+
+
+def _patches(look):
+    from hsvaos.detect.second_look import patch
+
+    return np.stack([patch(look.layers, box) for box in look.boxes])
+
+
+def test_two_networks_are_asked_together():
+    torch.manual_seed(4)
+    nets = [SecondNet().eval(), SecondNet().eval()]
+    for net in nets:
+        torch.nn.init.normal_(net.score.weight)
+        torch.nn.init.normal_(net.box.weight)
+    views, facts = torch.randn(3, len(CHANNELS) + 1, LOOK_PX, LOOK_PX), torch.randn(3, 3)
+    with torch.no_grad():
+        (a, to_a), (b, to_b) = (net(views, facts) for net in nets)
+        logits, shifts = MeanOfNets(nets)(views, facts)
+    assert not torch.allclose(a, b)
+    torch.testing.assert_close(logits, 0.5 * (a + b))
+    torch.testing.assert_close(shifts, 0.5 * (to_a + to_b))
+
+
+def test_the_threshold_leaves_room_for_false_finds_that_did_not_come():
+    """Precision .95 where six in ten people lie, with as many false finds as there may well be."""
+    people = [[20 * k, 20, 20 * k + 10, 40] for k in range(4)]
+    wrong = [20, 60, 30, 80]
+
+    def shift(sure, faint, false):
+        looks = []
+        for k in range(sure + faint):
+            look = a_look(people[:1], [people[0], *([wrong] * (k < false))])
+            look.scores[0] = 0.9 if k < sure else 0.4
+            look.scores[1:] = 0.6
+            looks.append(look)
+        return threshold_shift(matched_again(SecondNet(), looks), 0.5)
+
+    low, high = (-float(np.log(p / (1.0 - p))) for p in (0.4, 0.9))
+    assert shift(100, 30, 0) == pytest.approx(low, abs=1e-3)  # 78 and at most 3: .963
+    assert shift(100, 30, 1) == pytest.approx(high, abs=1e-3)  # 78 and 4.7: .943; 60 and 3: .952
+    assert shift(100, 60, 1) == pytest.approx(low, abs=1e-3)  # 96 and 4.7: .953
+
+
+def test_how_many_more_there_may_be():
+    table = {0: 2.996, 1: 4.744, 2: 6.296, 5: 10.513, 20: 29.062}  # Garwood's
+    for count, limit in table.items():
+        assert most_expected(count) == pytest.approx(limit, abs=2e-3)
