@@ -216,22 +216,15 @@ def _measure_track(
         around = with_surroundings(view, GSD_M, REACH_M)
         hits = focal_points(around.view, surface, device=by_name["plain"].device).numpy()
         hits = hits.reshape(around.view.height, around.view.width, 4)
+        own_hits = around.cut(hits)
         seen = ground.seen_from(around.view, hits)
         cut = {name: (around.cut(a), around.cut(b)) for name, (a, b) in seen.items()}
         truth = truth_boxes(people, view)
         for name, method in use.items():
-            if method.wide:
-                wide = method.find(seen)
-                places = box_places(wide, hits, around.view)
-                found, kept = around.within(wide)
-                places, spreads = (part[kept] for part in places)
-            else:
-                found = method.find(cut)
-                places, spreads = box_places(found, around.cut(hits), view)
+            found = around.within(method.find(seen)) if method.wide else method.find(cut)
             judged[name].append(JudgedView(flight.frames[k].name, found, truth))
-            sure = found.scores >= method.score
-            finds = ViewFinds(view, found.above(method.score), places[sure], spreads[sure])
-            reported[name].append(finds)
+            sure = found.above(method.score)
+            reported[name].append(ViewFinds(view, sure, *box_places(sure, own_hits, view)))
     detect = DetectSettings()
     return {
         name: FlightResult(

@@ -132,7 +132,10 @@ class Renderer:
                 f"view {name}: no photo sees the focal surface there; expected a surface below "
                 f"the cameras and within their view"
             )
-        image, footprint = (around.cut(part) for part in layers["chosen"])
+        if around.margin_px and (extra or self.ground is None):  # the picture itself, to the bit
+            image, footprint = self._integrate("chosen", view)
+        else:
+            image, footprint = (around.cut(part) for part in layers["chosen"])
         if not (footprint > 0.0).any():
             raise FlightError(
                 f"view {name}: every pixel is masked (mask {self.settings.mask.method}); use fewer "
@@ -141,9 +144,9 @@ class Renderer:
         found = Detections.none()
         if self.finder is not None:
             found = self.finder(layers, sampling_distance(view, around.cut(hits)))
-        places, covariances = box_places(found, hits, around.view)
-        found, kept = around.within(found)
-        places, covariances = places[kept], covariances[kept]
+        found = around.within(found)
+        own_hits = self._hits(view) if around.margin_px else hits  # as who reads the finds has them
+        places, covariances = box_places(found, own_hits, view)
         if self.pose_covariances is not None:
             photos = self.by.plain
             of_poses = (photos.camera, photos.world_from_camera, self.pose_covariances)

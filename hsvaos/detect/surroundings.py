@@ -50,23 +50,20 @@ class Surroundings:
         rows, columns = (slice(self.margin_px, self.margin_px + n) for n in self.inner.size[::-1])
         return np.ascontiguousarray(array[rows, columns])
 
-    def within(self, found: Detections) -> tuple[Detections, NDArray[np.bool_]]:
-        """Return the finds that lie in the view, cut off at its border.
+    def within(self, found: Detections) -> Detections:
+        """Return the finds that lie in the view, cut off at its border, in its pixels.
 
         Args:
             found: In the wider view.
-
-        Returns:
-            Finds in pixels of the view, and which of the wider view's they are, shape (K,).
         """
         if self.margin_px == 0:
-            return found, np.ones(len(found), bool)
+            return found
         boxes = found.boxes_xyxy - np.float32(self.margin_px)
         low, high = np.float32(-0.5), np.array(self.inner.size * 2, np.float32) - np.float32(0.5)
         cut = np.clip(boxes, low, high)
         inside, whole = (np.prod(b[:, 2:] - b[:, :2], axis=1) for b in (cut, boxes))
         kept = inside >= _LEAST_INSIDE * whole
-        return Detections(cut[kept], found.scores[kept], found.class_ids[kept]), kept
+        return Detections(cut[kept], found.scores[kept], found.class_ids[kept])
 
 
 def with_surroundings(view: VirtualCamera, gsd_m: float, reach_m: float) -> Surroundings:
