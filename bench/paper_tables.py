@@ -43,7 +43,7 @@ WANTED = {
     ("snow", "true"): 0.95,
 }
 STORY = (
-    "**The targets of AP are not reached**, and that of precision hardly missed (.93 with both "
+    "**The targets of AP are not reached**, and that of precision narrowly missed (.93 with both "
     "poses, wanted .95); those of false alarms (at most one a flight) and of the error of "
     "positions are. hsvaos is far ahead of the plain mean and of the paper's form on every forest "
     "here, and of the paper's printed figures in summer, where the paper is weakest; the paper's "

@@ -10,6 +10,7 @@ from hsvaos.demo import demo_flight
 from hsvaos.detect.detections import Detections
 from hsvaos.detect.surroundings import Surroundings, with_surroundings
 from hsvaos.finding import Finder
+from hsvaos.flight import FlightError
 from hsvaos.masking import make_masks
 from hsvaos.photos import load_photos, with_poses
 from hsvaos.rendering import Renderer, make_integrators
@@ -128,7 +129,5 @@ def test_a_view_of_no_ground_is_said_to_be_one(demo):
     flight, by = demo
     finder = Finder(("rarity_map",), 0.1, lambda layers, gsd_m: found(), 2.0)
     above = FocalPlane(float(flight.poses[:, 2, 3].min()) - 10.0)
-    from hsvaos.flight import FlightError
-
     with pytest.raises(FlightError, match="no photo sees the focal surface"):
         Renderer(by, Settings(), above, finder).render("up", flight.view(0))
