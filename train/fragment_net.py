@@ -28,7 +28,8 @@ class FragmentModel(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         half, quarter, eighth, sixteenth = _WIDTHS
-        self.first = conv(4 * len(FRAGMENT_CHANNELS), half)
+        # 3 x 3 squares of 2 x 2 pixels; as squares put into channels first it takes a third longer
+        self.first = conv(len(FRAGMENT_CHANNELS), half, 6, 2)
         self.down1 = nn.Sequential(conv(half, quarter, 3, 2), conv(quarter, quarter))
         self.down2 = nn.Sequential(conv(quarter, eighth, 3, 2), conv(eighth, eighth))
         self.down3 = nn.Sequential(
@@ -47,7 +48,7 @@ class FragmentModel(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Return logits of the shares of pixels as in the training crops."""
-        fine = self.first(F.pixel_unshuffle(x, 2))
+        fine = self.first(x)
         middle = self.down1(fine)
         coarse = self.down2(middle)
         coarse = self.join2(coarse + _doubled(self.lift3(self.down3(coarse))))

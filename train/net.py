@@ -26,7 +26,7 @@ def conv(before: int, after: int, size: int = 3, stride: int = 1) -> nn.Sequenti
         stride: Of the convolution [px].
     """
     return nn.Sequential(
-        nn.Conv2d(before, after, size, stride, size // 2, bias=False),
+        nn.Conv2d(before, after, size, stride, (size - 1) // 2, bias=False),
         nn.BatchNorm2d(after),
         nn.ReLU(inplace=True),
     )
