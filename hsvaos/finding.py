@@ -65,12 +65,13 @@ def operating_score(settings: DetectSettings) -> float:
     return Detector(settings.model, settings.layout).score
 
 
-def make_finder(settings: DetectSettings, photos: int) -> Finder | None:
+def make_finder(settings: DetectSettings, photos: int, threads: int | None = None) -> Finder | None:
     """Return what looks for people; None where nobody is looked for.
 
     Args:
         settings: The method and its thresholds.
         photos: Number of photos of the flight.
+        threads: CPU threads that a network uses; by default one a core.
 
     Raises:
         ValueError: If the network cannot be used, or is not there.
@@ -78,7 +79,7 @@ def make_finder(settings: DetectSettings, photos: int) -> Finder | None:
     if not settings.enabled:
         return None
     if settings.method == "network":
-        return _network_finder(settings)
+        return _network_finder(settings, threads)
     enough = replace(settings, min_rays=min(settings.min_rays, 0.5 * photos))
     layer = f"{settings.method}_map"
 
@@ -89,10 +90,10 @@ def make_finder(settings: DetectSettings, photos: int) -> Finder | None:
     return Finder((layer,), settings.min_z * settings.min_agreement, find)
 
 
-def _network_finder(settings: DetectSettings) -> Finder:
+def _network_finder(settings: DetectSettings, threads: int | None) -> Finder:
     from hsvaos.detect.yolo import Detector
 
-    detector = Detector(settings.model, settings.layout, score=settings.min_score)
+    detector = Detector(settings.model, settings.layout, score=settings.min_score, threads=threads)
     reach_m = REACH_M if detector.layout == "hsvaos" else 0.0
     least = detector.score * settings.min_agreement
 

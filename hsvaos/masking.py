@@ -56,6 +56,13 @@ class Masks:
     stats: dict[str, Any]
     notes: tuple[str, ...]
 
+    @classmethod
+    def of_rarity(
+        cls, gains: NDArray[np.float64] | None, weights: Any, model: RarityModel
+    ) -> Masks:
+        """Return masks of rarity alone, see `weigh_rarity`."""
+        return cls(gains, None, weights, model, None, None, None, [], None, {}, ())
+
     def chosen(self, method: str) -> Any:
         """Return the weights of a mask by name; None where every valid pixel counts."""
         return {"hue": self.hue, "rarity": self.rarity, "anomaly": self.anomaly}.get(method)

@@ -1,9 +1,10 @@
 """Where kernels run: devices, and launches in row bands on the threads of the CPU."""
 
+import contextlib
 import itertools
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ ROW_GRAIN = 32
 _lock = threading.Lock()
 _pool: ThreadPoolExecutor | None = None
 _threads = 0
+_here = threading.local()
 _loaded: set[tuple[str, str]] = set()
 
 on_slow_load: Callable[[], None] | None = None
@@ -71,6 +73,8 @@ def free_memory() -> int | None:
 
 def threads() -> int:
     """Return the number of CPU threads that kernels use."""
+    if getattr(_here, "alone", False):
+        return 1
     if _threads:
         return _threads
     asked = os.environ.get("HSVAOS_THREADS", "")
@@ -95,6 +99,20 @@ def set_threads(count: int) -> None:
         if _pool is not None:
             _pool.shutdown(wait=True)
         _pool = None
+
+
+@contextlib.contextmanager
+def on_one_thread() -> Iterator[None]:
+    """Let what is launched from this thread meanwhile run in it, and on no other.
+
+    For work beside other work: its bands would wait before those of the others.
+    """
+    before = getattr(_here, "alone", False)
+    _here.alone = True
+    try:
+        yield
+    finally:
+        _here.alone = before
 
 
 def bands(size: int, device: Any, grain: int = PIXEL_GRAIN) -> list[tuple[int, int]]:

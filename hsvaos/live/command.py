@@ -30,6 +30,7 @@ from hsvaos.cli_options import (
 
 if TYPE_CHECKING:
     from hsvaos.console import Console
+    from hsvaos.flight import Origin
     from hsvaos.live.integrator import LiveIntegrator
     from hsvaos.live.play import Player
 
@@ -82,6 +83,17 @@ def live(
     detect_every: Annotated[
         int, typer.Option(metavar="K", min=0, help="Look for people in every K-th picture.")
     ] = 0,
+    search: Annotated[
+        bool,
+        typer.Option(
+            "--search",
+            help="Search the window's photos with all that run looks at, which takes seconds.",
+        ),
+    ] = False,
+    finds: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.geojson", help="Save who was found by --search."),
+    ] = None,
     scale: Scale = None,
     settings: SettingsFile = None,
     device: Device = "cpu",
@@ -111,17 +123,24 @@ def live(
         if out.suffix.lower() not in (".png", ".jpg"):
             raise FlightError(f"-o {out}: expected a file that ends .png or .jpg")
         check_writable(out.parent, (out.name,))
+    if finds is not None:
+        if not search or finds.suffix.lower() not in (".geojson", ".json"):
+            raise FlightError(f"--finds {finds}: expected --search, and a file that ends .geojson")
+        check_writable(finds.parent, (finds.name,))
     chosen = settings_of(
         settings,
         focus=focus_of(focus_down, terrain, False),
         mask={"method": mask, "sigmas": sigmas, "scope": None if settings else "flight"},
         photos={"scale": scale},
     )
-    asked = Options(window, size, view is LiveView.moving, detect_every, log_poses)
+    every = max(1, detect_every) if search else detect_every
+    asked = Options(window, size, view is LiveView.moving, every, search, log_poses)
     pace = Pace(rate, speed, minutes)
     opened = open_flight(flight, None, poses, format, fov, ground_down, frame_mask)
     console = Console(quiet=as_json)
     console.notes(opened.notes)
+    if search:
+        console.say("making ready to search")
     integrator, sensors, opened, notes = integrator_for(opened, chosen, asked, mask is None, device)
     console.notes(notes)
     with integrator:
@@ -132,7 +151,7 @@ def live(
         finally:
             if page is not None:
                 page.close()
-        _finish(player, integrator, out, console)
+        _finish(player, integrator, out, finds, opened.origin, console)
 
 
 def _page(name: str, live: LiveIntegrator, host: str, port: int, console: Console) -> Any:
@@ -178,15 +197,23 @@ def _play(player: Player, live: LiveIntegrator, console: Console) -> None:
         raise fault[0]
 
 
-def _finish(player: Player, live: LiveIntegrator, out: Path | None, console: Console) -> None:
-    """Save the last picture and print the summary."""
+def _finish(
+    player: Player,
+    live: LiveIntegrator,
+    out: Path | None,
+    finds: Path | None,
+    origin: Origin | None,
+    console: Console,
+) -> None:
+    """Save the last picture and who was found, and print the summary."""
     import json
 
     from hsvaos.live.memory import resident_mb
-    from hsvaos.live.tell import summary
+    from hsvaos.live.tell import persons_table, summary
     from hsvaos.report import figures
     from hsvaos.report.atomic import write_bytes
     from hsvaos.report.draw import draw_boxes
+    from hsvaos.report.finds import person_record, persons_geojson
 
     stats, result = live.stats(), live.latest()
     if live.navigator is not None:
@@ -197,8 +224,11 @@ def _finish(player: Player, live: LiveIntegrator, out: Path | None, console: Con
     if out is not None and result is not None:
         picture = figures.stretch(result.image, result.footprint)
         if result.finds is not None:
-            picture = draw_boxes(picture, result.finds.detections)
+            picture = draw_boxes(picture, result.finds.seen_from(result.view))
         saved = str(write_bytes(out, figures.encode(picture, out.suffix.lower())))
+    persons = live.persons(origin)
+    if finds is not None:
+        write_bytes(finds, persons_geojson(persons, origin).encode("utf-8"))
     if console.quiet:
         outcome = asdict(stats) | {
             "window": len(live.window),
@@ -206,10 +236,15 @@ def _finish(player: Player, live: LiveIntegrator, out: Path | None, console: Con
             "behind_s": round(player.behind_s, 3),
             "resident_mb": resident_mb(),
             "out": saved,
+            "persons": [person_record(person) for person in persons],
         }
         typer.echo(json.dumps(outcome))
         return
     console.show(*summary(live, player))
+    if persons:
+        console.show(persons_table(persons))
+    if finds is not None:
+        console.show(f"{len(persons)} persons in {finds}")
     if saved is not None:
         console.show(f"look at {saved}")
     if result is None:

@@ -12,14 +12,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hsvaos.camera import Camera, VirtualCamera, check_pose
+from hsvaos.detect.detections import Person
+from hsvaos.flight import Origin
 from hsvaos.live.detection import DetectionThread, LooksForPeople
 from hsvaos.live.inbox import Arrival, Inbox
 from hsvaos.live.latency import Latencies
+from hsvaos.live.looking import LookThread
 from hsvaos.live.result import LiveResult, LiveStats
 from hsvaos.live.ring import Format, Out
-from hsvaos.live.window import Window
+from hsvaos.live.search import SearchThread
+from hsvaos.live.window import Window, checked_valid
 from hsvaos.nav.online import NoPoseError, OnlineFilter
-from hsvaos.settings import MaskSettings
+from hsvaos.settings import MaskSettings, Settings
 from hsvaos.surface import FocalPlane, FocalSurface, FocalTerrain
 
 _DOWN = np.array(
@@ -51,7 +55,10 @@ class LiveIntegrator:
         waiting: Most photos that wait in the queue.
         navigator: Says where photos without a pose were taken.
         detector: Looks for people in a thread of its own, for example a `hsvaos.Detector`.
-        detect_every: Images from one that is looked at to the next.
+        search: Settings under which the photos of the window are searched instead, in a thread of
+            its own, with all that `hsvaos.run` looks at: rarity, each single photo, the ground
+            without trees. A search takes seconds. None for none.
+        detect_every: Images from one that is looked at, or searched, to the next.
         on_result: Called in the integrator's thread with each result; its arrays are written over
             later, and the time it takes is part of the work.
         device: "cpu", "cuda:0", ...
@@ -76,6 +83,7 @@ class LiveIntegrator:
         waiting: int = 2,
         navigator: OnlineFilter | None = None,
         detector: LooksForPeople | None = None,
+        search: Settings | None = None,
         detect_every: int = 10,
         on_result: Callable[[LiveResult], None] | None = None,
         device: Any = "cpu",
@@ -84,6 +92,8 @@ class LiveIntegrator:
             raise ValueError(
                 f"size and detect_every must be at least 1, got {size!r} and {detect_every!r}"
             )
+        if detector is not None and search is not None:
+            raise ValueError("detector and search: expected one of them, got both")
         if isinstance(mask, str):
             mask = MaskSettings(method=mask, scope="flight")
         self.navigator = navigator
@@ -105,7 +115,15 @@ class LiveIntegrator:
         self._latencies, self._work_times = Latencies(), Latencies()
         self.recent = Latencies()
         self._error: Exception | None = None
-        self._finder = None if detector is None else DetectionThread(detector, shape, channels)
+        self._finder: LookThread | None = None
+        if detector is not None:
+            self._finder = DetectionThread(detector, shape, channels)
+        elif search is not None:
+            usable = None if valid is None else checked_valid(valid, format)
+            searcher = SearchThread(format, frames, search, usable, self._window.device)
+            searcher.warm_up(eye, self._look[1])
+            searcher.start()
+            self._finder = searcher
         self._thread = threading.Thread(target=self._work, name="hsvaos-live", daemon=True)
         self._thread.start()
 
@@ -206,6 +224,15 @@ class LiveIntegrator:
         """The photos in the window; not to be read while photos come in."""
         return self._window
 
+    def persons(self, origin: Origin | None = None) -> tuple[Person, ...]:
+        """Return who was found on the ground by all searches so far, likeliest first.
+
+        Args:
+            origin: Ties the local frame to the Earth, or None.
+        """
+        finder = self._finder
+        return finder.persons(origin) if isinstance(finder, SearchThread) else ()
+
     def stats(self) -> LiveStats:
         """Return the counters."""
         finder = self._finder
@@ -289,9 +316,10 @@ class LiveIntegrator:
             self._integrated += 1
             self._latencies.add(latency)
             self.recent.add(latency)
-        if self._finder is not None and (self._integrated - 1) % self._every == 0:
-            gsd_m = self._window.sampling_distance()
-            self._finder.offer(arrival.number, image, footprint, gsd_m)
+        if self._finder is not None:
+            self._finder.take(arrival.number, arrival.image, pose)
+            if (self._integrated - 1) % self._every == 0:
+                self._finder.offer(result, surface, self._window.sampling_distance())
         if self._on_result is not None:
             self._on_result(result)
         with self._lock:

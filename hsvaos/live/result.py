@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hsvaos.camera import VirtualCamera
 from hsvaos.hue_statistics import HueStatistics
-from hsvaos.live.detection import LiveFinds
+from hsvaos.live.finds import LiveFinds
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,6 +29,7 @@ class Options:
         size: Longest side of the picture [px].
         moving: Whether the view follows the photos.
         detect_every: Pictures from one that is looked at to the next; 0 for none.
+        search: Whether the photos of the window are searched instead, with all that a run looks at.
         from_log: Whether poses come from the sensor log even where there are some.
     """
 
@@ -36,6 +37,7 @@ class Options:
     size: int
     moving: bool
     detect_every: int
+    search: bool
     from_log: bool
 
 
@@ -85,7 +87,7 @@ def integrator_for(
     scale = settings.photos.scale
     camera = camera.scaled(*(max(1, round(n * scale)) for n in (camera.width, camera.height)))
     detector = None
-    if asked.detect_every:
+    if asked.detect_every and not asked.search:
         detect = settings.detect
         detector = Detector(detect.model, detect.layout, score=detect.min_score, threads=1)
     integrator = LiveIntegrator(
@@ -100,6 +102,7 @@ def integrator_for(
         dtype=first.dtype.name,
         navigator=navigator,
         detector=detector,
+        search=settings if asked.search else None,
         detect_every=max(1, asked.detect_every),
         device=device,
     )

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from rich.table import Table
 
+from hsvaos.detect.detections import Person
 from hsvaos.live.integrator import LiveIntegrator
 from hsvaos.live.memory import resident_mb
 from hsvaos.live.play import Player
@@ -21,6 +24,9 @@ def line(live: LiveIntegrator) -> str:
         parts.append(f"without pose {stats.without_pose}")
     if stats.detected:
         parts.append(f"looked at {stats.detected}")
+    persons = live.persons()
+    if persons:
+        parts.append(f"{len(persons)} found")
     return ", ".join(parts)
 
 
@@ -45,3 +51,17 @@ def summary(live: LiveIntegrator, player: Player) -> tuple[Table, str]:
         f"{resident_mb():.0f} MB, {live.window.nbytes / 1e6:.0f} MB of it the window"
     )
     return table, rest
+
+
+def persons_table(persons: Sequence[Person]) -> Table:
+    """Return who was found, likeliest first."""
+    table = Table(title=f"{len(persons)} found on the ground", title_justify="left")
+    for name in ("", "score", "north m", "east m", "within m", "latitude", "longitude", "searches"):
+        table.add_column(name, justify="right")
+    for number, one in enumerate(persons, start=1):
+        place = ("", "")
+        if one.lat_deg is not None and one.lon_deg is not None:
+            place = (f"{one.lat_deg:.6f}", f"{one.lon_deg:.6f}")
+        metres = (f"{value:.1f}" for value in (one.north_m, one.east_m, one.std_m))
+        table.add_row(str(number), f"{one.score:.2f}", *metres, *place, str(one.views))
+    return table

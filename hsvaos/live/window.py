@@ -82,7 +82,7 @@ class Window:
             else PlainRing(format, frames, bright, self.device)
         )
         self._valid: Any = wp.array(
-            _checked_valid(valid, format), dtype=wp.uint8, device=self.device
+            checked_valid(valid, format).ravel(), dtype=wp.uint8, device=self.device
         )
         self._weights = wp.zeros(pixels, dtype=wp.uint8, device=self.device)
         self._poses = np.tile(np.eye(4), (frames, 1, 1))
@@ -232,13 +232,22 @@ def _check_mask(mask: MaskSettings, format: Format) -> None:
             raise ValueError(f"mask.{name} is not for live flights, got {getattr(mask, name)!r}")
 
 
-def _checked_valid(valid: ArrayLike | None, format: Format) -> NDArray[np.uint8]:
+def checked_valid(valid: ArrayLike | None, format: Format) -> NDArray[np.uint8]:
+    """Return the user mask of every photo, shape (H, W), uint8, 255 = use.
+
+    Args:
+        valid: Shape (H, W), uint8 or bool; None for all pixels.
+        format: What the photos are.
+
+    Raises:
+        ValueError: If it does not fit.
+    """
     shape = format.shape[:2]
     if valid is None:
-        return np.full(shape, 255, np.uint8).ravel()
+        return np.full(shape, 255, np.uint8)
     array = np.asarray(valid)
     if array.shape != shape or array.dtype not in (np.uint8, np.bool_):
         raise ValueError(
             f"valid must be bool or uint8 of shape {shape}, got {array.dtype} of {array.shape}"
         )
-    return np.where(array != 0, 255, 0).astype(np.uint8).ravel()
+    return np.where(array != 0, 255, 0).astype(np.uint8)

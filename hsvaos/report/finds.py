@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from hsvaos.detect.detections import Detections, Person
+from hsvaos.flight import Origin
 from hsvaos.result import Result
 
 _LOCAL_NOTE = (
@@ -31,23 +32,37 @@ def views_json(views: Iterable[tuple[str, Detections]], persons: Iterable[Person
     return _dump(
         {
             "views": [{"frame": frame, "boxes": _boxes(found)} for frame, found in views],
-            "persons": [_person(person) for person in persons],
+            "persons": [person_record(person) for person in persons],
         }
     )
 
 
 def detections_geojson(result: Result) -> str:
-    """Return the content of detections.geojson (RFC 7946, WGS-84): one point a person.
+    """Return the content of detections.geojson, see `persons_geojson`."""
+    return persons_geojson(result.persons, result.flight.origin)
+
+
+def persons_geojson(persons: Iterable[Person], origin: Origin | None) -> str:
+    """Return persons as GeoJSON (RFC 7946, WGS-84): one point a person.
 
     GeoJSON knows no local coordinates. Without an origin every feature is "unlocated" (geometry
     null, which the standard allows), has its local place in the properties, and a note says why.
+
+    Args:
+        persons: On the ground.
+        origin: Ties the local frame to the Earth, or None.
     """
     collection: dict[str, Any] = {"type": "FeatureCollection"}
-    if result.flight.origin is None:
+    if origin is None:
         collection["note"] = _LOCAL_NOTE
     collection["features"] = [
-        {"type": "Feature", "id": number, "geometry": _point(person), "properties": _person(person)}
-        for number, person in enumerate(result.persons, start=1)
+        {
+            "type": "Feature",
+            "id": number,
+            "geometry": _point(person),
+            "properties": person_record(person),
+        }
+        for number, person in enumerate(persons, start=1)
     ]
     return _dump(collection)
 
@@ -59,7 +74,8 @@ def _boxes(found: Detections) -> list[dict[str, Any]]:
     ]
 
 
-def _person(person: Person) -> dict[str, Any]:
+def person_record(person: Person) -> dict[str, Any]:
+    """Return a person as the files hold one."""
     return {
         "north_m": _number(person.north_m),
         "east_m": _number(person.east_m),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hsvaos.detect.detections import Detections
 from hsvaos.live.integrator import LiveIntegrator
 from hsvaos.report.draw import draw_boxes
 from hsvaos.viewer.picture import integral_picture
@@ -32,9 +33,10 @@ def shown(live: LiveIntegrator) -> Shown | None:
     if result is None:
         return None
     rgb = integral_picture(result.image, result.footprint, Look())
-    if result.finds is not None and len(result.finds.detections):
+    found = Detections.none() if result.finds is None else result.finds.seen_from(result.view)
+    if len(found):
         solid = np.full((*rgb.shape[:2], 1), 255, np.uint8)
-        rgba = draw_boxes(np.concatenate([rgb, solid], axis=2), result.finds.detections)
+        rgba = draw_boxes(np.concatenate([rgb, solid], axis=2), found)
         rgb = np.ascontiguousarray(rgba[..., :3])
     text = (
         f"photo {result.number}, {result.frames} in the window, "

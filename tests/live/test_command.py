@@ -82,6 +82,21 @@ def test_it_looks_for_people_beside(few: Path, tmp_path: Path) -> None:
     assert int(said["detected"]) >= 1
 
 
+def test_it_searches_beside_and_saves_who_was_found(few: Path, tmp_path: Path) -> None:
+    saved = tmp_path / "found.geojson"
+    options = ("--search", "--finds", saved, "--rate", 4, "--window", 6, "--mask", "none")
+    said = outcome(few, *options)
+    assert said["integrated"] == 8
+    assert 1 <= int(said["detected"]) <= 8  # type: ignore[call-overload]
+    assert int(said["detected"]) + int(said["detections_skipped"]) == 8  # type: ignore[call-overload]
+    features = json.loads(saved.read_text(encoding="utf-8"))["features"]
+    persons = said["persons"]
+    assert isinstance(persons, list)
+    assert [one["properties"] for one in features] == persons
+    assert "expected --search" in fails("live", few, "--finds", saved, "--no-show")
+    assert "ends .geojson" in fails("live", few, "--search", "--finds", tmp_path / "x.png")
+
+
 def test_people_are_told_how_it_goes(few: Path) -> None:
     done = cli("live", few, "--rate", 2, "--size", 64, "--port", 0)
     assert done.returncode == 0, done.stderr
