@@ -1,7 +1,7 @@
 """Fly in real time for a long while: latencies and memory, tenth by tenth of the flight.
 
     python -m bench.live_soak [--minutes 10] [--rate 10] [--side 1024] [--size 512] [--window 30]
-                              [--mask hue] [--view moving] [--detect-every 0] [FLIGHT]
+                              [--mask hue] [--view moving] [--detect-every 0] [--search] [FLIGHT]
 
 Photos are drawn ones in memory, or those of a flight, decoded before: on board a camera brings them
 decoded. Ends with status 1 where the p99 latency is above --budget, a photo was dropped, or memory
@@ -69,6 +69,7 @@ class Soak:
             channels=3 if self.images[0].ndim == 3 else 1,
             dtype=self.images[0].dtype.name,
             detector=detector,
+            search=hsvaos.Settings() if options.search else None,
             detect_every=max(1, options.detect_every),
         )
         self.tenths: list[Tenth] = []
@@ -92,7 +93,8 @@ class Soak:
                 if time.monotonic() - watched > 1.0:
                     watched = time.monotonic()
                     resident.append(resident_mb())
-            self.live.drain(10.0)
+            if not self.options.search:  # a search takes longer than photos can wait
+                self.live.drain(10.0)
             spent = time.process_time() - cpu
             after = self.live.stats().dropped - dropped
             self.tenths.append(Tenth(self.live.recent_latency(), after, spent, resident))
@@ -147,6 +149,7 @@ def main() -> None:
     parser.add_argument("--view", choices=("moving", "fixed"), default="moving")
     parser.add_argument("--detect-every", type=int, default=0)
     parser.add_argument("--model", help="ONNX file for --detect-every; the package's by default")
+    parser.add_argument("--search", action="store_true", help="with all that run looks at")
     parser.add_argument("--threads", type=int, default=0, help="kernel threads; one a core")
     parser.add_argument("--budget", type=float, default=150.0, help="greatest p99 latency [ms]")
     options = parser.parse_args()
