@@ -244,7 +244,7 @@ def _finish(
     if persons:
         console.show(persons_table(persons))
     if finds is not None:
-        console.show(f"{len(persons)} persons in {finds}")
+        console.show(f"found {len(persons)}: {finds}")
     if saved is not None:
         console.show(f"look at {saved}")
     if result is None:
