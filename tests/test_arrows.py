@@ -42,7 +42,7 @@ ALLOWED = {
     "sweeping": BASE | {"photos", "masking", "kernels", "rendering", "viewing", "focusing"},
     "live": BASE
     | {"kernels", "nav", "detect", "rendering", "formats", "photos", "focusing", "viewing"}
-    | {"cli_options"},
+    | {"cli_options", "masking", "finding", "fragment_input"},
     "demo": BASE | {"formats"},
     "benchmark": BASE | {"kernels", "cli_options", "summary"},
     "report": BASE | {"detect", "result", "sweeping"},
