@@ -41,6 +41,9 @@ _MOST_SEARCHES = 1000
 
 _NEVER = -1
 
+_ALIKE = 1.2
+"""Factor between sampling distances of photos from which they are looked at anew."""
+
 
 @dataclass(frozen=True, eq=False)
 class _Asked:
@@ -93,6 +96,7 @@ class SearchThread(LookThread):
         self._images: Any = wp.zeros((frames, *format.shape), dtype=format.scalar, device=device)
         self._searched = np.full(frames, _NEVER)  # numbers of the photos that lie there
         self._said: PhotoEvidence | None = None
+        self._gsd_m: float | None = None  # at which that was said
         self._finds: deque[ViewFinds] = deque(maxlen=_MOST_SEARCHES)
 
     def take(self, number: int, image: NDArray[Any], pose: NDArray[Any]) -> None:
@@ -184,15 +188,23 @@ class SearchThread(LookThread):
         if self._net is None:
             return by
         inputs = FragmentInput(photos.images, model, gains)
-        gsd_m = photo_sampling(photos.flight, surface)
+        count, gsd_m = len(photos.flight), photo_sampling(photos.flight, surface)
+        if self._said is None or not _alike(gsd_m, self._gsd_m):  # all that was said is of no use
+            self._gsd_m, self._said, fresh = gsd_m, None, list(range(count))
         for place in fresh:
-            people, ground = self._net.of_photo(inputs(place), gsd_m)
-            if self._said is None or self._said.people.shape[1:] != people.shape:
+            # at one sampling distance for all, or they would differ in size
+            people, ground = self._net.of_photo(inputs(place), self._gsd_m)
+            if self._said is None:
                 shape = (self._frames, *people.shape)
                 self._said = PhotoEvidence(np.zeros(shape, np.uint16), np.zeros(shape, np.uint8))
             self._said.people[place], self._said.ground[place] = people, ground
         if self._said is None:
             return by
-        count = len(photos.flight)
         said = PhotoEvidence(self._said.people[:count], self._said.ground[:count])
         return by.with_evidence(evidence_integrators(photos, said, gains))
+
+
+def _alike(one: float | None, other: float | None) -> bool:
+    if one is None or other is None:
+        return one is other
+    return max(one, other) <= _ALIKE * min(one, other)

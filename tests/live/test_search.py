@@ -114,6 +114,31 @@ def test_a_photo_is_looked_at_once(strip: Strip, monkeypatch: pytest.MonkeyPatch
     assert len(search.times) == 6
 
 
+def test_photos_from_other_heights_are_looked_at_alike(
+    strip: Strip, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    search = SearchThread(Format(strip.camera), 3, Settings(), None, resolve_device("cpu"))
+    net = search._net
+    assert net is not None
+    looked: list[float | None] = []
+    of_photo = net.of_photo
+    monkeypatch.setattr(net, "of_photo", lambda x, gsd: looked.append(gsd) or of_photo(x, gsd))
+    search.start()
+    for number in range(6):  # so coarse that they are resampled, by what their height says
+        pose = strip.poses[number].copy()
+        pose[2, 3] = -40.0 if number >= 4 else -20.0 - 0.5 * number
+        search.take(number, strip.images[number], pose)
+        search.offer(picture(strip, number), strip.surface, 0.1)
+        assert search.rest(120.0)
+        assert search.error is None
+        assert search._said is not None
+        held = search._searched != -1
+        assert (search._said.ground[held] > 0).any(axis=(1, 2)).all()
+    search.close()
+    assert looked[:5] == [looked[0]] * 5  # one each, as the first: the median height is nearly its
+    assert looked[5:] == [pytest.approx(2.0 * (looked[0] or 0.0))] * 3  # now it is not: all anew
+
+
 @pytest.mark.parametrize("dtype", ["uint8", "uint16"])
 def test_grey_photos_are_searched_too(strip: Strip, dtype: str) -> None:
     valid = np.full((72, 96), 255, np.uint8)
