@@ -8,71 +8,50 @@ import warp as wp
 
 from hsvaos.hue_statistics import BINS
 from hsvaos.kernels.device import bands, launch
+from hsvaos.kernels.hue_text import PIXELS, SPREAD, cut_text, hue_text
 
 wp.set_module_options({"enable_backward": False})
 
 CHUNK = 32768
 """Pixels of a chunk: a multiple of the loops' blocks, few enough to share out to threads."""
 
-_C_TYPE = {wp.vec3ub: "unsigned char", wp.vec3us: "unsigned short", wp.vec3: "float"}
-
-_GOOD = {
-    "float": "(red - red == 0.0f) & (green - green == 0.0f) & (blue - blue == 0.0f)",
-    "unsigned char": "true",
-    "unsigned short": "true",
-}
-"""Whether a colour is finite; whole numbers always are."""
-
-# the hexcone of kernels.color.rgb_to_hsv_pixel without branches
-_HUE = """
-        const float red = (float)from[3 * i] * scale[0];
-        const float green = (float)from[3 * i + 1] * scale[1];
-        const float blue = (float)from[3 * i + 2] * scale[2];
-        const float most = red > green ? red : green, fewer = red > green ? green : red;
-        const float value = most > blue ? most : blue;
-        const float chroma = value - (fewer < blue ? fewer : blue);
-        const float turn = chroma > 0.0f ? 60.0f / chroma : 0.0f;
-        float hue = (red - green) * turn + 240.0f;
-        hue = value == green ? (blue - red) * turn + 120.0f : hue;
-        hue = value == red ? (green - blue) * turn : hue;
-        hue += hue < 0.0f ? 360.0f : 0.0f;
-        hue -= hue >= 360.0f ? 360.0f : 0.0f;
-        const bool good = $good;
-"""
-
-_CUT = Template("""{
-    #pragma clang fp contract(fast)
+_BLOCKS = """
+    enum { BLOCK = 1024 };
     const int start = chunk * $chunk;
     const int size = count - start < $chunk ? count - start : $chunk;
-    const $source* from = (const $source*)rgb.data + (size_t)3 * start;
-    const unsigned char* use = valid.data + start;
-    unsigned char* to = mask.data + start;
-    #pragma clang loop vectorize(enable) vectorize_width(16)
-    for (int i = 0; i < size; ++i) {
-        $cut
-        to[i] = (good & !cut) ? use[i] : 0;
-    }
-}""")
-
-_AWAY = """
-        float away = hue - mean;
-        away = away < 0.0f ? -away : away;
-        const float other = 360.0f - away;
-        away = ((circular != 0) & (other < away)) ? other : away;
-        const bool cut = (away <= half_width) & ((circular == 0) | (chroma > 0.0f));
+    alignas(64) unsigned words[BLOCK];
 """
 
-_COUNT = Template("""{
-    #pragma clang fp contract(fast)
-    enum { BLOCK = 1024, BINS = $bins };
-    const int start = chunk * $chunk;
-    const int size = count - start < $chunk ? count - start : $chunk;
-    // two histograms take turns: a pixel need not wait for its neighbour of the same hue
-    long long counts[2 * BINS] = {}, total = 0, seen = 0;
-    for (int block = 0; block < size; block += BLOCK) {
+_BLOCK = """
         const int some = size - block < BLOCK ? size - block : BLOCK;
         const $source* from = (const $source*)rgb.data + (size_t)3 * (start + block);
         const unsigned char* use = valid.data + start + block;
+        $prepare
+"""
+"""Where the pixels of a block are, and whether they count."""
+
+_CUT = Template("""{
+    #pragma clang fp contract(fast)
+    $blocks
+    for (int block = 0; block < size; block += BLOCK) {
+        $block
+        unsigned char* to = mask.data + start + block;
+        #pragma clang loop vectorize(enable) vectorize_width(16)
+        for (int i = 0; i < some; ++i) {
+            $cut
+            to[i] = (good & !cut) ? use[i] : 0;
+        }
+    }
+}""")
+
+_COUNT = Template("""{
+    #pragma clang fp contract(fast)
+    enum { BINS = $bins };
+    $blocks
+    // two histograms take turns: a pixel need not wait for its neighbour of the same hue
+    long long counts[2 * BINS] = {}, total = 0, seen = 0;
+    for (int block = 0; block < size; block += BLOCK) {
+        $block
         alignas(64) int bins[BLOCK + 1], amounts[BLOCK + 1];
         int chromas = 0, valids = 0;
         #pragma clang loop vectorize(enable) vectorize_width(16)
@@ -102,21 +81,19 @@ _COUNT = Template("""{
 }""")
 
 
-def hue_text(pixel: Any) -> str:
-    """Return C that takes pixel i at `from` to its `hue`, `chroma` and whether it is `good`."""
-    return Template(_HUE).substitute(good=_GOOD[_C_TYPE[pixel]])
-
-
-def cut_text(pixel: Any) -> str:
-    """Return C like `hue_text` that also tells whether to `cut` the pixel."""
-    return hue_text(pixel) + _AWAY
+def _in_blocks(template: Template, pixel: Any, **parts: Any) -> str:
+    """Fill in what all loops over the blocks of a chunk share."""
+    text = PIXELS[pixel]
+    block = Template(_BLOCK).substitute(
+        source=text.source, prepare="spread(from, words, some);" if text.words else ""
+    )
+    blocks = (SPREAD if text.words else "") + Template(_BLOCKS).substitute(chunk=CHUNK)
+    return template.substitute(blocks=blocks, block=block, **parts)
 
 
 @lru_cache
 def _cut_kernel(pixel: Any) -> Any:
-    cut = _CUT.substitute(source=_C_TYPE[pixel], chunk=CHUNK, cut=cut_text(pixel))
-
-    @wp.func_native(cut)
+    @wp.func_native(_in_blocks(_CUT, pixel, cut=cut_text(pixel)))
     def cut_chunk(
         chunk: int,
         count: int,
@@ -149,9 +126,7 @@ def _cut_kernel(pixel: Any) -> Any:
 
 @lru_cache
 def _count_kernel(pixel: Any) -> Any:
-    count = _COUNT.substitute(source=_C_TYPE[pixel], chunk=CHUNK, bins=BINS, hue=hue_text(pixel))
-
-    @wp.func_native(count)
+    @wp.func_native(_in_blocks(_COUNT, pixel, hue=hue_text(pixel), bins=BINS))
     def count_chunk(
         chunk: int,
         band: int,

@@ -22,7 +22,7 @@ from hsvaos.kernels.arrays import (
 )
 from hsvaos.kernels.color import check_brightening
 from hsvaos.kernels.device import ROW_GRAIN, launch
-from hsvaos.kernels.hue_chunks import cut_text
+from hsvaos.kernels.hue_text import SPREAD, cut_text
 from hsvaos.kernels.packing import Packed, PackJob, empty_packed, is_mask
 
 wp.set_module_options({"enable_backward": False})
@@ -51,8 +51,7 @@ _POWER = """
 """
 
 _AS_IT_IS = """
-            const unsigned word = (unsigned)from[3 * i] | (unsigned)from[3 * i + 1] << 8
-                | (unsigned)from[3 * i + 2] << 16 | 255u << 24;
+            const unsigned word = words[i] | 255u << 24;
 """
 
 _ROW = Template("""{
@@ -67,6 +66,8 @@ _ROW = Template("""{
     const wp::vec3 scale = job.scale;
     const float mean = job.mean, half_width = job.half_width;
     const int circular = job.circular;
+    $spread
+    spread(from, words, width);
     #pragma clang loop vectorize(enable) vectorize_width(16)
     for (int i = 0; i < width; ++i) {
         $cut
@@ -99,7 +100,7 @@ class CutJob:
 def _cut_and_pack_kernel(brightened: bool) -> Any:
     word = _POWER if brightened else _AS_IT_IS
 
-    @wp.func_native(_ROW.substitute(cut=cut_text(wp.vec3ub), word=word))
+    @wp.func_native(_ROW.substitute(spread=SPREAD, cut=cut_text(wp.vec3ub), word=word))
     def cut_and_pack_row(
         line: int,
         frame: int,
