@@ -2,7 +2,8 @@
 
 RGB: a first loop over the tile, in vectors, projects and leaves the place and the bilinear weights
 of every pixel; a second one takes the four corners of a pixel, with all their channels, as one
-vector. Grey: one loop does both, with the vector's lanes along the pixels.
+vector, for two frames at once where a channel has a byte. Grey: one loop does both, with the
+vector's lanes along the pixels.
 """
 
 from dataclasses import dataclass
@@ -16,11 +17,14 @@ class Form:
     Args:
         word: Type of a packed pixel.
         declare: Arrays of the tile, the sums 0.
-        place: Weighs the corners of pixel i by the fractions fu and fv of its place in a photo,
-            in a vector loop; `in` tells whether the photo sees it.
-        mix: Adds up the corners of all pixels.
+        place: Keeps where pixel i is in a photo, from u and v, and how its corners weigh, in a
+            vector loop; `in` tells whether the photo sees it.
+        mix: Adds up the corners of all pixels; of one frame from `half` on, or of two.
         sums: Sum of each channel, and last that of the weights.
         unit: C of the factor on the sum of the weights.
+        pairs: Whether `mix` takes two frames at once.
+        step: Units of u and v in a pixel.
+        origin: u and v of the centre of a photo's first pixel.
     """
 
     word: str
@@ -29,6 +33,9 @@ class Form:
     mix: str
     sums: tuple[str, ...]
     unit: str = "1.0f"
+    pairs: bool = False
+    step: str = "1.0f"
+    origin: str = "1.0f"
 
     @property
     def channels(self) -> int:
@@ -36,10 +43,11 @@ class Form:
         return len(self.sums) - 1
 
 
-# Bilinear weights are whole numbers. Where the processor multiplies bytes by fours (VNNI), they sum
-# to 127 x 128 and are kept as two bytes, whose products with the corners are summed apart; else
-# they sum to 128 x 128, side by side in 64 bits.
+# Places are whole numbers of 1/8192 pixel, bilinear weights of 1/8192. Where the processor
+# multiplies bytes by fours (VNNI), weights are kept as two bytes, whose products with the corners
+# are summed apart; else they lie side by side in 64 bits.
 _BYTES_DECLARE = """
+    enum { BITS = 13, UNIT = 1 << BITS };
 #if defined(__AVX512VNNI__) && defined(__AVX512BW__) && defined(__AVX512VL__)
     #define HSVAOS_FOURS
     typedef int i32v __attribute__((vector_size(64)));
@@ -47,12 +55,10 @@ _BYTES_DECLARE = """
     typedef unsigned char u8v __attribute__((vector_size(64)));
     typedef long long i64v __attribute__((vector_size(64)));
     typedef long long i64x2 __attribute__((vector_size(16)));
-    enum { UNIT = 16256 };
     alignas(64) float sums[4 * SIZE];
     alignas(64) unsigned coarse[2 * SIZE], fine[2 * SIZE];
     const auto sum_of = [&](int i, int c) { return sums[4 * i + c]; };
 #else
-    enum { UNIT = 16384 };
     alignas(64) f32x8 sums[SIZE];
     alignas(64) unsigned long long shares[2 * SIZE];
     const auto sum_of = [&](int i, int c) { return sums[i][2 * c] + sums[i][2 * c + 1]; };
@@ -61,11 +67,12 @@ _BYTES_DECLARE = """
 """
 
 _BYTES_PLACE = """
-    const int iu = (int)(fu * (float)UNIT + 0.5f), iv = (int)(fv * (float)UNIT + 0.5f);
-    const int corner = (int)(fu * fv * (float)UNIT + 0.5f);
-    const unsigned upper = (unsigned)(UNIT - iu - iv + corner) & 65535u
-        | (unsigned)(iu - corner) << 16;
-    const unsigned lower = (unsigned)(iv - corner) & 65535u | (unsigned)corner << 16;
+    const int up = (int)u, vp = (int)v;
+    places[half + i] = (vp >> BITS) * row_stride + (up >> BITS);
+    const int iu = up & (UNIT - 1), iv = vp & (UNIT - 1);
+    const int corner = (iu * iv + UNIT / 2) >> BITS;
+    const unsigned upper = (unsigned)(UNIT - iu - iv + corner) | (unsigned)(iu - corner) << 16;
+    const unsigned lower = (unsigned)(iv - corner) | (unsigned)corner << 16;
 #ifdef HSVAOS_FOURS
     // bytes of upper left, lower left, upper right and lower right
     const unsigned most = (upper >> 7 & 0x00ff00ffu) | (lower << 1 & 0xff00ff00u);
@@ -76,51 +83,101 @@ _BYTES_PLACE = """
 #endif
 """
 
+# Two frames of the same gains add up as whole numbers.
 _BYTES_MIX = Template("""
+    const $word *frame_a = frames[0], *frame_b = frames[1];
+    const float *ga = gains_of[0], *gb = gains_of[1];
+    const bool alike = (ga[0] == gb[0]) & (ga[1] == gb[1]) & (ga[2] == gb[2]);
 #ifdef HSVAOS_FOURS
-    const f32v gains = {gain_0, gain_1, gain_2, 1.0f, gain_0, gain_1, gain_2, 1.0f,
-        gain_0, gain_1, gain_2, 1.0f, gain_0, gain_1, gain_2, 1.0f};
+    const f32v gains_a = {ga[0], ga[1], ga[2], 1.0f, ga[0], ga[1], ga[2], 1.0f,
+        ga[0], ga[1], ga[2], 1.0f, ga[0], ga[1], ga[2], 1.0f};
+    const f32v gains_b = {gb[0], gb[1], gb[2], 1.0f, gb[0], gb[1], gb[2], 1.0f,
+        gb[0], gb[1], gb[2], 1.0f, gb[0], gb[1], gb[2], 1.0f};
     // masks the compiler does not see through: it shall merge loads, not shuffle registers
     const unsigned one = row_stride > 0;
-    for (int i = 0; i < SIZE; i += 16) {
-        const i32v high = *(const i32v*)(coarse + half + i);
-        const i32v low = *(const i32v*)(fine + half + i);
-        $fours
+    if (alike) {
+        for (int i = 0; i < SIZE; i += 16) {
+            $weights
+            $fours_alike
+        }
+    } else {
+        for (int i = 0; i < SIZE; i += 16) {
+            $weights
+            $fours
+        }
     }
 #else
-    const f32x8 gains = {gain_0, gain_0, gain_1, gain_1, gain_2, gain_2, 1.0f, 1.0f};
-    for (int i = 0; i < SIZE; ++i) {
-        const $word* at = frame + places[half + i];
+    const f32x8 gains_a = {ga[0], ga[0], ga[1], ga[1], ga[2], ga[2], 1.0f, 1.0f};
+    const f32x8 gains_b = {gb[0], gb[0], gb[1], gb[1], gb[2], gb[2], 1.0f, 1.0f};
+    const auto mixed = [&](const $word* frame, int i) {
+        const $word* at = frame + places[i];
         u64x2 corners;
         $load
         const u8x16 bytes = __builtin_shufflevector((u8x16)corners, (u8x16)corners, $across);
         const i16x16 values = __builtin_convertvector(bytes, i16x16);
-        const unsigned long long four = shares[half + i];
+        const unsigned long long four = shares[i];
         const u64x4 share = {four, four, four, four};
     #ifdef __AVX2__
-        const i32x8 pairs = (i32x8)__builtin_ia32_pmaddwd256(values, (i16x16)share);
+        return (i32x8)__builtin_ia32_pmaddwd256(values, (i16x16)share);
     #else
         const i32x16 products = __builtin_convertvector(values, i32x16)
             * __builtin_convertvector((i16x16)share, i32x16);
-        const i32x8 pairs =
-            __builtin_shufflevector(products, products, 0, 2, 4, 6, 8, 10, 12, 14)
+        return __builtin_shufflevector(products, products, 0, 2, 4, 6, 8, 10, 12, 14)
             + __builtin_shufflevector(products, products, 1, 3, 5, 7, 9, 11, 13, 15);
     #endif
-        sums[i] += __builtin_convertvector(pairs, f32x8) * gains;
+    };
+    if (alike) {
+        for (int i = 0; i < SIZE; ++i) {
+            const i32x8 sum = mixed(frame_a, i) + mixed(frame_b, SIZE + i);
+            sums[i] += __builtin_convertvector(sum, f32x8) * gains_a;
+        }
+    } else {
+        for (int i = 0; i < SIZE; ++i) {
+            sums[i] += __builtin_convertvector(mixed(frame_a, i), f32x8) * gains_a
+                + __builtin_convertvector(mixed(frame_b, SIZE + i), f32x8) * gains_b;
+        }
     }
 #endif
 """)
 
+_WEIGHTS = """
+            const i32v high_a = *(const i32v*)(coarse + i);
+            const i32v low_a = *(const i32v*)(fine + i);
+            const i32v high_b = *(const i32v*)(coarse + SIZE + i);
+            const i32v low_b = *(const i32v*)(fine + SIZE + i);
+"""
+
 # corners of four pixels, with all channels, against their weights
+_CORNERS_OF_FOUR = Template("""
+            u8v bytes_$ab;
+            {
+                const $word* frame = frame_$ab;
+                const int* to = places + $half + i + $first;
+                $load
+                bytes_$ab = __builtin_shufflevector((u8v)corners, (u8v)corners, $down);
+            }
+            const i32v most_$ab = __builtin_shufflevector(high_$ab, high_$ab, $spread);
+            const i32v rest_$ab = __builtin_shufflevector(low_$ab, low_$ab, $spread);
+""")
+
+_FOUR_ALIKE = Template("""{
+            $corners
+            i32v total = __builtin_ia32_vpdpbusd512((i32v){}, (i32v)bytes_a, most_a);
+            total = __builtin_ia32_vpdpbusd512(total, (i32v)bytes_b, most_b);
+            total = __builtin_ia32_vpdpbusd512(total << 7, (i32v)bytes_a, rest_a);
+            total = __builtin_ia32_vpdpbusd512(total, (i32v)bytes_b, rest_b);
+            *(f32v*)(sums + 4 * (i + $first)) += __builtin_convertvector(total, f32v) * gains_a;
+        }
+""")
+
 _FOUR = Template("""{
-            const int* to = places + half + i + $first;
-            $load
-            const i32v bytes = (i32v)__builtin_shufflevector((u8v)corners, (u8v)corners, $down);
-            i32v total = __builtin_ia32_vpdpbusd512((i32v){}, bytes,
-                __builtin_shufflevector(high, high, $spread));
-            total = __builtin_ia32_vpdpbusd512(total << 7, bytes,
-                __builtin_shufflevector(low, low, $spread));
-            *(f32v*)(sums + 4 * (i + $first)) += __builtin_convertvector(total, f32v) * gains;
+            $corners
+            i32v of_a = __builtin_ia32_vpdpbusd512((i32v){}, (i32v)bytes_a, most_a);
+            i32v of_b = __builtin_ia32_vpdpbusd512((i32v){}, (i32v)bytes_b, most_b);
+            of_a = __builtin_ia32_vpdpbusd512(of_a << 7, (i32v)bytes_a, rest_a);
+            of_b = __builtin_ia32_vpdpbusd512(of_b << 7, (i32v)bytes_b, rest_b);
+            *(f32v*)(sums + 4 * (i + $first)) += __builtin_convertvector(of_a, f32v) * gains_a
+                + __builtin_convertvector(of_b, f32v) * gains_b;
         }
 """)
 
@@ -169,23 +226,36 @@ def _bytes(word: str, load: str, load_four: str, corners: tuple[int, int, int, i
         for channel in range(4)
         for k in (a, c, b, d)
     ]
-    fours = [
-        _FOUR.substitute(
-            first=first,
-            load=load_four,
-            down=_listed(down),
-            spread=_listed([first + k // 4 for k in range(16)]),
+
+    def fours(mixed: Template) -> str:
+        return "".join(mixed.substitute(first=i, corners=both(i)) for i in (0, 4, 8, 12))
+
+    def both(first: int) -> str:
+        spread = _listed([first + k // 4 for k in range(16)])
+        shared = {"word": word, "first": first, "load": load_four, "spread": spread}
+        return "".join(
+            _CORNERS_OF_FOUR.substitute(shared, down=_listed(down), ab=ab, half=half)
+            for ab, half in (("a", "0"), ("b", "SIZE"))
         )
-        for first in (0, 4, 8, 12)
-    ]
+
     across = _listed([k + ch for ch in range(4) for k in corners])
     return Form(
         word=word,
         declare=_BYTES_DECLARE,
         place=_BYTES_PLACE,
-        mix=_BYTES_MIX.substitute(fours="".join(fours), word=word, load=load, across=across),
+        mix=_BYTES_MIX.substitute(
+            weights=_WEIGHTS,
+            fours_alike=fours(_FOUR_ALIKE),
+            fours=fours(_FOUR),
+            word=word,
+            load=load,
+            across=across,
+        ),
         sums=tuple(f"sum_of(i, {c})" for c in range(4)),
         unit="(1.0f / UNIT)",
+        pairs=True,
+        step="(float)UNIT",
+        origin="((float)UNIT + 0.5f)",
     )
 
 
@@ -198,18 +268,24 @@ _CORNERS = """
     alignas(64) float lower_left[2 * SIZE], lower_right[2 * SIZE];
 """
 
-_RGB16 = Form(
-    word="unsigned long long",
-    declare=_CORNERS + "alignas(64) f32x8 sums[SIZE] = {};",
-    place="""
+_PLACE = """
+    const int ui = (int)u, vi = (int)v;
+    const float fu = u - (float)ui, fv = v - (float)vi;
+    places[half + i] = vi * row_stride + ui;
     const float corner = fu * fv;
     upper_left[half + i] = in ? 1.0f - fu - fv + corner : 0.0f;
     upper_right[half + i] = in ? fu - corner : 0.0f;
     lower_left[half + i] = in ? fv - corner : 0.0f;
     lower_right[half + i] = in ? corner : 0.0f;
-""",
+"""
+
+_RGB16 = Form(
+    word="unsigned long long",
+    declare=_CORNERS + "alignas(64) f32x8 sums[SIZE] = {};",
+    place=_PLACE,
     mix="""
-    const f32x8 gains = {gain_0, gain_1, gain_2, 1.0f, gain_0, gain_1, gain_2, 1.0f};
+    const float red = gains[0], green = gains[1], blue = gains[2];
+    const f32x8 gain = {red, green, blue, 1.0f, red, green, blue, 1.0f};
     for (int i = 0; i < SIZE; ++i) {
         const unsigned long long* at = frame + places[half + i];
         f16x8 upper, lower;
@@ -219,7 +295,7 @@ _RGB16 = Form(
         const float c = lower_left[half + i], d = lower_right[half + i];
         const f32x8 ab = {a, a, a, a, b, b, b, b}, cd = {c, c, c, c, d, d, d, d};
         sums[i] += (__builtin_convertvector(upper, f32x8) * ab
-            + __builtin_convertvector(lower, f32x8) * cd) * gains;
+            + __builtin_convertvector(lower, f32x8) * cd) * gain;
     }
 """,
     sums=tuple(f"(sums[i][{c}] + sums[i][{c + 4}])" for c in range(4)),
@@ -238,6 +314,7 @@ _SINGLES = """
 """
 
 _GREY = Template("""
+    const float gain = gains[0];
     #pragma clang loop vectorize(enable) vectorize_width(16)
     for (int i = 0; i < SIZE; ++i) {
         const $word* at = frame + places[half + i];
@@ -245,7 +322,7 @@ _GREY = Template("""
         const float wa = upper_left[half + i] * $weight_a, wb = upper_right[half + i] * $weight_b;
         const float wc = lower_left[half + i] * $weight_c, wd = lower_right[half + i] * $weight_d;
         total_w[i] += wa + wb + wc + wd;
-        total[i] += gain_0 * (wa * $level_a + wb * $level_b + wc * $level_c + wd * $level_d);
+        total[i] += gain * (wa * $level_a + wb * $level_b + wc * $level_c + wd * $level_d);
     }
 """)
 
@@ -257,7 +334,7 @@ def _grey(word: str, load: str, level: str, weight: str) -> Form:
     return Form(
         word=word,
         declare=_CORNERS + "alignas(64) float total[SIZE] = {}, total_w[SIZE] = {};",
-        place=_RGB16.place,
+        place=_PLACE,
         mix=_GREY.substitute(word=word, load=load, **corners),
         sums=("total[i]", "total_w[i]"),
     )

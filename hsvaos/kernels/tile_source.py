@@ -18,7 +18,6 @@ _TILE = Template("""{
     enum { SIDE = 16, SIZE = 256, CHUNK = 64 };
     const int width = job.width, height = job.height, count = job.count;
     const int row_stride = job.row_stride, distorted = job.distorted;
-    const float right = job.right, bottom = job.bottom;
     const float *m = job.poses.data, *sides = job.sides.data;
     const int planes = job.planes, plane = index % planes, tile = index / planes;
     const int tiles_x = (width + SIDE - 1) / SIDE;
@@ -28,6 +27,7 @@ _TILE = Template("""{
     $points
     alignas(64) int places[2 * SIZE];
     $declare
+    const float right = job.right * $step, bottom = job.bottom * $step;
 
     for (int start = 0; seen > 0 && start < count; start += CHUNK) {
         const int some = count - start < CHUNK ? count - start : CHUNK;
@@ -38,42 +38,35 @@ _TILE = Template("""{
         for (int k = 0; k < some; ++k) {
             if (state[k] > 0) seeing[views++] = k;
         }
-        // one frame ahead: its places are known, and on their way to the cache, when it is mixed
-        for (int turn = 0; turn <= views; ++turn) {
-            if (turn < views) {
-                const int k = seeing[turn], half = (turn & 1) * SIZE;
+        // two frames at a time: what they add up to is read and written once
+        for (int turn = 0; turn < views; turn += 2) {
+            const $word* frames[2];
+            float gains_of[2][$channels];
+            const int both = turn + 1 < views;
+            for (int which = 0; which < $taken; ++which) {
+                const int half = which * SIZE;
+                const int k = seeing[turn + (which & both)];
                 const float* f = m + start + k;
+                const $word* frame = (const $word*)job.words.data
+                    + (size_t)__builtin_bit_cast(int, f[12 * count]) * job.frame_stride;
+                frames[which] = frame;
+                for (int c = 0; c < $channels; ++c) gains_of[which][c] = f[(13 + c) * count];
                 const float x0 = at_x[k], y0 = at_y[k], z0 = at_z[k];
                 $slopes
                 const float* l = sides + 9;
-                if (state[k] == 2 && seen == SIZE && !distorted) {
-                    #pragma clang loop vectorize(enable) vectorize_width(16)
+                if (which > both) {  // no second frame is left: nothing of it counts
+                    const bool in = false;
                     for (int i = 0; i < SIZE; ++i) {
-                        $project
-                        const float u = x * near + 1.0f, v = y * near + 1.0f;
-                        const bool in = true;
+                        const float u = 0.0f, v = 0.0f;
                         $place
                     }
+                } else if (state[k] == 2 && seen == SIZE && !distorted) {
+                    $place_inside
                 } else if (!distorted) {
-                    #pragma clang loop vectorize(enable) vectorize_width(16)
-                    for (int i = 0; i < SIZE; ++i) {
-                        $project
-                        float u = x * near, v = y * near;
-                        $test
-                        $place
-                    }
+                    $place_tested
                 } else {
-                    #pragma clang loop vectorize(enable) vectorize_width(16)
-                    for (int i = 0; i < SIZE; ++i) {
-                        $project
-                        const float xn = x * near, yn = y * near;
-                        $distort
-                        $test
-                        $place
-                    }
+                    $place_distorted
                 }
-                const $word* frame = (const $word*)job.words.data
-                    + (size_t)__builtin_bit_cast(int, f[12 * count]) * job.frame_stride;
                 for (int i = 0; plane == 0 && i < SIZE; i += 8) {
                     const int* at = places + half + i;
                     __builtin_prefetch(frame + at[0]);
@@ -81,14 +74,7 @@ _TILE = Template("""{
                     if (i >= SIZE - SIDE) __builtin_prefetch(frame + at[0] + row_stride);
                 }
             }
-            if (turn > 0) {
-                const int half = ((turn - 1) & 1) * SIZE;
-                const float* f = m + start + seeing[turn - 1];
-                const $word* frame = (const $word*)job.words.data
-                    + (size_t)__builtin_bit_cast(int, f[12 * count]) * job.frame_stride;
-                $gains
-                $mix
-            }
+            $mix
         }
     }
     const size_t first = (size_t)plane * width * height;
@@ -104,51 +90,92 @@ _TILE = Template("""{
     }
 }""")
 
-_DISTORT = """
-                        const float r2 = xn * xn + yn * yn;
-                        const float radial = 1.0f + r2 * (l[4] + r2 * (l[5] + r2 * l[8]));
-                        float u = l[0] * (xn * radial + 2.0f * l[6] * xn * yn
-                            + l[7] * (r2 + 2.0f * xn * xn)) + l[2];
-                        float v = l[1] * (yn * radial + l[6] * (r2 + 2.0f * yn * yn)
-                            + 2.0f * l[7] * xn * yn) + l[3];
-                        u = r2 <= l[9] ? u : -9.0f;
+# for forms that mix one frame after the other
+_EACH = Template("""
+            for (int which = 0; which <= both; ++which) {
+                const int half = which * SIZE;
+                const $word* frame = frames[which];
+                const float* gains = gains_of[which];
+                $mix
+            }
+""")
+
+# a row of the tile at a time, in vectors
+_PLACES = Template("""
+                    for (int j = 0; j < SIDE; ++j) {
+                        $row
+                        #pragma clang loop vectorize(enable) vectorize_width(16)
+                        for (int c = 0; c < SIDE; ++c) {
+                            const int i = j * SIDE + c;
+                            $project
+                            $seen
+                            $place
+                        }
+                    }
+""")
+
+_INSIDE = """
+                            const float near = $step / z;
+                            const float u = x * near + $origin, v = y * near + $origin;
+                            const bool in = true;
 """
 
 _TEST = """
-                        const bool in = (z > 0.0f) & (u >= -0.5f) & (v >= -0.5f) & (u <= right)
-                            & (v <= bottom) & hit;
-                        u = in ? u + 1.0f : 0.0f;
-                        v = in ? v + 1.0f : 0.0f;
+                            const bool in = (z > 0.0f) & (u >= -0.5f * $step)
+                                & (v >= -0.5f * $step) & (u <= right) & (v <= bottom) & hit;
+                            u = in ? u + $origin : 0.0f;
+                            v = in ? v + $origin : 0.0f;
 """
 
+_TESTED = f"""
+                            const float near = $step / z;
+                            float u = x * near, v = y * near;
+                            {_TEST}
+"""
 
-_PLACE = """
-                        const int ui = (int)u, vi = (int)v;
-                        const float fu = u - (float)ui, fv = v - (float)vi;
-                        places[half + i] = vi * row_stride + ui;
+_DISTORTED = f"""
+                            const float xn = x / z, yn = y / z;
+                            const float r2 = xn * xn + yn * yn;
+                            const float radial = 1.0f + r2 * (l[4] + r2 * (l[5] + r2 * l[8]));
+                            float u = $step * (l[0] * (xn * radial + 2.0f * l[6] * xn * yn
+                                + l[7] * (r2 + 2.0f * xn * xn)) + l[2]);
+                            float v = $step * (l[1] * (yn * radial
+                                + l[6] * (r2 + 2.0f * yn * yn) + 2.0f * l[7] * xn * yn) + l[3]);
+                            u = r2 <= l[9] ? u : -9.0f * $step;
+                            {_TEST}
 """
 
 
 def tile_source(form: Form, way: Way) -> str:
     """Return the C of the tile gather for one form of packed photos and one way into them."""
-    channels = range(form.channels)
-    gains = "".join(f"const float gain_{c} = f[{13 + c} * count];\n" for c in channels)
     store = "".join(
         f"job.image.data[pixel * {form.channels} + {c}] = {form.sums[c]} * scale;\n"
-        for c in channels
+        for c in range(form.channels)
     )
+
+    def places(seen: str) -> str:
+        units = {"step": form.step, "origin": form.origin}
+        return _PLACES.substitute(
+            row=way.row,
+            project=way.project,
+            seen=Template(seen).substitute(units),
+            place=form.place,
+        )
+
     return _TILE.substitute(
         word=form.word,
         declare=form.declare,
-        gains=gains,
+        channels=form.channels,
         points=way.points,
         cull=way.cull,
         slopes=way.slopes,
-        project=way.project,
-        test=_TEST,
-        distort=_DISTORT,
-        place=_PLACE + form.place,
-        mix=form.mix,
+        step=form.step,
+        taken="2" if form.pairs else "1 + both",
+        place=form.place,
+        place_inside=places(_INSIDE),
+        place_tested=places(_TESTED),
+        place_distorted=places(_DISTORTED),
+        mix=form.mix if form.pairs else _EACH.substitute(mix=form.mix, word=form.word),
         weight=form.sums[-1],
         unit=form.unit,
         store=store,

@@ -11,12 +11,14 @@ class Way:
         points: Where the tile is, and how many of its pixels meet the surface, as `seen`.
         cull: Which frames of a chunk see the tile, and where they see its middle.
         slopes: What the frame's projection needs.
+        row: What pixels of row j of the tile share.
         project: Homogeneous coordinates x, y, z of pixel i in the photo, and whether it is `hit`.
     """
 
     points: str
     cull: str
     slopes: str
+    row: str
     project: str
 
 
@@ -99,7 +101,6 @@ _POINTS_PROJECT = """
                         const float x = x0 + m00 * px[i] + m01 * py[i] + m02 * pz[i];
                         const float y = y0 + m10 * px[i] + m11 * py[i] + m12 * pz[i];
                         const float z = z0 + m20 * px[i] + m21 * py[i] + m22 * pz[i];
-                        const float near = 1.0f / z;
                         const float ex = ax + px[i], ey = ay + py[i];
                         const bool hit = (ex * ex + ey * ey <= reach * reach) & (live[i] > 0.0f);
 """
@@ -107,11 +108,6 @@ _POINTS_PROJECT = """
 # Over a plane the way from the view's pixels into a photo is projective: three numbers that are
 # linear in the pixel. They are taken about the middle of the tile, in float64.
 _PLANE = """
-    alignas(64) float px[SIZE], py[SIZE];
-    for (int i = 0; i < SIZE; ++i) {
-        px[i] = (float)(i % SIDE) - 7.5f;
-        py[i] = (float)(i / SIDE) - 7.5f;
-    }
     const double* map = job.maps.data + (size_t)plane * 13;
     const double middle_x = left + 7.5, middle_y = top + 7.5;
     double middle[3];
@@ -169,20 +165,32 @@ _PLANE_CULL = """
 """
 
 _PLANE_SLOPES = """
-                const float m00 = slopes[0][k], m01 = slopes[1][k], m10 = slopes[2][k];
-                const float m11 = slopes[3][k], m20 = slopes[4][k], m21 = slopes[5][k];
+                const float m00 = slopes[0][k], m10 = slopes[2][k], m20 = slopes[4][k];
+                alignas(64) float row_x[SIDE], row_y[SIDE], row_z[SIDE];
+                #pragma clang loop vectorize(enable) vectorize_width(16)
+                for (int j = 0; j < SIDE; ++j) {
+                    const float down = (float)j - 7.5f;
+                    row_x[j] = x0 + slopes[1][k] * down;
+                    row_y[j] = y0 + slopes[3][k] * down;
+                    row_z[j] = z0 + slopes[5][k] * down;
+                }
+"""
+
+_PLANE_ROW = """
+                        const float xj = row_x[j], yj = row_y[j], zj = row_z[j];
+                        const float live_j = live0 + live2 * ((float)j - 7.5f);
 """
 
 _PLANE_PROJECT = """
-                        const float x = x0 + m00 * px[i] + m01 * py[i];
-                        const float y = y0 + m10 * px[i] + m11 * py[i];
-                        const float z = z0 + m20 * px[i] + m21 * py[i];
-                        const float near = 1.0f / z;
-                        const bool hit = live0 + live1 * px[i] + live2 * py[i] > 0.0f;
+                            const float across = (float)c - 7.5f;
+                            const float x = xj + m00 * across;
+                            const float y = yj + m10 * across;
+                            const float z = zj + m20 * across;
+                            const bool hit = live_j + live1 * across > 0.0f;
 """
 
 WAYS = {
-    "points": Way(_POINTS, _POINTS_CULL, _POINTS_SLOPES, _POINTS_PROJECT),
-    "plane": Way(_PLANE, _PLANE_CULL, _PLANE_SLOPES, _PLANE_PROJECT),
+    "points": Way(_POINTS, _POINTS_CULL, _POINTS_SLOPES, "", _POINTS_PROJECT),
+    "plane": Way(_PLANE, _PLANE_CULL, _PLANE_SLOPES, _PLANE_ROW, _PLANE_PROJECT),
 }
 """By name: over any surface, whose points are known, or over planes, for undistorted views."""
