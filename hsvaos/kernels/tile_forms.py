@@ -71,7 +71,8 @@ _BYTES_PLACE = """
     places[half + i] = (vp >> BITS) * row_stride + (up >> BITS);
     const int iu = up & (UNIT - 1), iv = vp & (UNIT - 1);
     const int corner = (iu * iv + UNIT / 2) >> BITS;
-    const unsigned upper = (unsigned)(UNIT - iu - iv + corner) | (unsigned)(iu - corner) << 16;
+    const int right_of = iu - corner;
+    const unsigned upper = (unsigned)(UNIT - iv - right_of) | (unsigned)right_of << 16;
     const unsigned lower = (unsigned)(iv - corner) | (unsigned)corner << 16;
 #ifdef HSVAOS_FOURS
     // bytes of upper left, lower left, upper right and lower right
