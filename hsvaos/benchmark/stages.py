@@ -13,6 +13,7 @@ import warp as wp
 
 from hsvaos.benchmark.scenes import lawnmower, masks, photos
 from hsvaos.kernels.color import brighten
+from hsvaos.kernels.device import in_vectors
 from hsvaos.kernels.hue_mask import apply_hue_cut, measure_hue
 from hsvaos.kernels.hue_pack import cut_and_pack
 from hsvaos.kernels.integrate import Integrator
@@ -244,7 +245,7 @@ class Cutter:
         self.masks = wp.zeros(images.shape[:3], dtype=wp.uint8, device=images.device)
         self.bright = images
         self.packed: Packed | None = None
-        if images.device.is_cpu:
+        if in_vectors(images.device):
             both = cut_and_pack(images, self._stats, brightening=self._amount, out=self.masks)
             self.packed = None if both is None else both[1]
         else:

@@ -5,7 +5,7 @@ from typing import Any
 
 import warp as wp
 
-from hsvaos.kernels.device import launch
+from hsvaos.kernels.device import in_vectors, launch
 
 wp.set_module_options({"enable_backward": False})
 
@@ -92,4 +92,4 @@ def read_corners(words: Any, row: int, places: Any, repeats: int, sums: Any) -> 
             (a xor c) + (b xor d) 2^32, modulo 2^64, of the corners a b above c d.
     """
     inputs = [row, places.size, repeats, words, places, sums]
-    launch(_read_kernel(words.device.is_cpu), sums.size, inputs, words.device, 1)
+    launch(_read_kernel(in_vectors(words.device)), sums.size, inputs, words.device, 1)

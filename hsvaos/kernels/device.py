@@ -62,6 +62,15 @@ def quiet_start() -> None:
         os.close(null)
 
 
+def in_vectors(device: Any) -> bool:
+    """Whether a device runs the forms written in C for the vectors of a CPU.
+
+    All others run the forms for every device. So does the CPU where HSVAOS_PORTABLE is 1 in the
+    environment: slowly, on one thread, but just what CUDA would run.
+    """
+    return bool(device.is_cpu) and os.environ.get("HSVAOS_PORTABLE") != "1"
+
+
 def free_memory() -> int | None:
     """Return the bytes that programs can still get, or None where the system does not say."""
     try:
@@ -120,7 +129,7 @@ def bands(size: int, device: Any, grain: int = PIXEL_GRAIN) -> list[tuple[int, i
 
     Kernels that reduce keep one accumulator a band, because Warp's CPU atomics are plain adds.
     """
-    count = 1 if device.is_cuda else max(1, min(threads(), size // grain))
+    count = max(1, min(threads(), size // grain)) if in_vectors(device) else 1
     edges = [size * i // count for i in range(count + 1)]
     return [(a, b - a) for a, b in itertools.pairwise(edges)]
 

@@ -19,7 +19,7 @@ from hsvaos.kernels.arrays import (
     valid_array,
 )
 from hsvaos.kernels.color import rgb_to_hsv_pixel
-from hsvaos.kernels.device import launch
+from hsvaos.kernels.device import in_vectors, launch
 from hsvaos.kernels.hue_chunks import count_bands, count_hues, cut_hues
 from hsvaos.kernels.pixels import as_vec3, is_colour
 
@@ -137,7 +137,7 @@ def hue_histograms(
 
 def sums_shape(size: int, device: Any) -> tuple[int, int]:
     """Return the shape of the accumulators of an image of a size [px]: one row a band."""
-    return count_bands(size, device) if device.is_cpu else 1, _SUMS
+    return count_bands(size, device) if in_vectors(device) else 1, _SUMS
 
 
 def add_hues(pixels: Any, valid: Any, scale: Any, statistics: str, sums: Any) -> None:
@@ -151,7 +151,7 @@ def add_hues(pixels: Any, valid: Any, scale: Any, statistics: str, sums: Any) ->
         sums: Warp array of `sums_shape`, int64, added to.
     """
     inputs = [scale, int(statistics == "circular"), pixels, valid, sums]
-    if pixels.device.is_cpu:
+    if in_vectors(pixels.device):
         count_hues(pixels, pixels.size, inputs, pixels.device)
     else:
         launch(_histogram_kernel(pixels.dtype), pixels.size, inputs, pixels.device)
@@ -219,7 +219,7 @@ def cut_photo(pixels: Any, valid: Any, scale: Any, stats: HueStatistics, mask: A
     half_width = stats.half_width_deg if stats.informative else -1.0
     circular = int(stats.statistics == "circular")
     inputs = [scale, circular, stats.mean_deg, half_width, pixels, valid, mask]
-    if pixels.device.is_cpu:
+    if in_vectors(pixels.device):
         cut_hues(pixels, pixels.size, inputs, pixels.device)
     else:
         launch(_mask_kernel(pixels.dtype), pixels.size, inputs, pixels.device)

@@ -21,7 +21,7 @@ from hsvaos.kernels.arrays import (
     valid_array,
 )
 from hsvaos.kernels.color import check_brightening
-from hsvaos.kernels.device import ROW_GRAIN, launch
+from hsvaos.kernels.device import ROW_GRAIN, in_vectors, launch
 from hsvaos.kernels.hue_text import SPREAD, cut_text
 from hsvaos.kernels.packing import Packed, PackJob, empty_packed, is_mask
 
@@ -155,7 +155,7 @@ def cut_and_pack(
         ValueError: If a parameter is out of range, or shapes do not fit.
     """
     stack = Stack(images, device_of(images))
-    if stack.device.is_cuda or stack.scalar is not wp.uint8:
+    if not in_vectors(stack.device) or stack.scalar is not wp.uint8:
         return None
     stack.require_colour()
     if valid is None:  # one row of full weights serves all

@@ -25,7 +25,7 @@ from hsvaos.kernels.arrays import (
     to_array,
 )
 from hsvaos.kernels.coherence import gather_coherence
-from hsvaos.kernels.device import free_memory
+from hsvaos.kernels.device import free_memory, in_vectors
 from hsvaos.kernels.gather import PlacedPhotos, gather, place_photos
 from hsvaos.kernels.packing import Packed, pack, pair_rows
 from hsvaos.kernels.rays import focal_points, plane_map
@@ -348,9 +348,8 @@ class Integrator:
         """The photos packed for the CPU, once; None where the plain gather has to do."""
         with self._packing:
             if self._packed is _NOT_YET:
-                on_cpu = self.device.is_cpu
                 photos = (self._stack, self._weights, self._weight_unit)
-                self._packed = pack(*photos) if on_cpu else None
+                self._packed = pack(*photos) if in_vectors(self.device) else None
             return self._packed
 
     def _paired(self, packed: Packed, samples: int) -> Packed:

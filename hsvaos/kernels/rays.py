@@ -8,7 +8,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from hsvaos.camera import Camera, VirtualCamera
-from hsvaos.kernels.device import ROW_GRAIN, launch, resolve_device
+from hsvaos.kernels.device import ROW_GRAIN, in_vectors, launch, resolve_device
 from hsvaos.kernels.lens import Lens, back_project, lens
 from hsvaos.surface import FocalPlane, FocalSurface, FocalTerrain
 
@@ -235,7 +235,7 @@ def focal_points(
     eye.gsd = view.gsd_m
     centre = view.world_from_camera[:3, 3]
     if isinstance(surface, FocalPlane):
-        if device.is_cpu and not (view.camera and view.camera.has_distortion):
+        if in_vectors(device) and not (view.camera and view.camera.has_distortion):
             to = plane_map(view, surface)
             matrix = (wp.mat33(*to.points.ravel()), wp.vec3(*to.scales), to.least)
             inputs = [view.width, *matrix, hits]

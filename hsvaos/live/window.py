@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from hsvaos.camera import VirtualCamera, check_pose
 from hsvaos.hue_statistics import HueStatistics
 from hsvaos.kernels.arrays import Stack
-from hsvaos.kernels.device import resolve_device
+from hsvaos.kernels.device import in_vectors, resolve_device
 from hsvaos.kernels.running import MOST_PHOTOS, RunningSums
 from hsvaos.live.ring import Format, Out, PackedRing, PlainRing, Ring
 from hsvaos.live.sight import Sight
@@ -71,7 +71,7 @@ class Window:
                 "gamma": mask.gamma,
                 "max_gain": mask.max_gain,
             }
-        on_cpu = self.device.is_cpu if packed is None else packed
+        on_cpu = in_vectors(self.device) if packed is None else packed
         self._incoming: Stack | None = None
         if not on_cpu:
             staging = wp.zeros((1, *format.shape), dtype=format.scalar, device=self.device)

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
+import pytest
 from hypothesis import strategies as st
 
 from hsvaos import Camera, VirtualCamera
+
+in_vectors_only = pytest.mark.skipif(
+    os.environ.get("HSVAOS_PORTABLE") == "1",
+    reason="HSVAOS_PORTABLE=1: this is of the CPU's own forms",
+)
 
 seeds = st.integers(0, 2**31 - 1)
 dtypes = st.sampled_from(["uint8", "uint16", "float32"])

@@ -12,7 +12,7 @@ from hsvaos.kernels.color import brighten
 from hsvaos.kernels.hue_mask import apply_hue_cut, measure_hue
 from hsvaos.kernels.hue_pack import cut_and_pack
 from hsvaos.kernels.packing import Packed
-from tests.kernels.strategies import random_images, seeds
+from tests.kernels.strategies import in_vectors_only, random_images, seeds
 from tests.kernels.test_integrate import looking_down
 
 
@@ -23,6 +23,7 @@ def unpacked(packed: Packed, height: int, width: int) -> np.ndarray:
     return np.stack([rows >> shift & 255 for shift in (0, 8, 16, 24)], axis=-1)
 
 
+@in_vectors_only
 @given(
     seed=seeds, levelled=st.booleans(), masked=st.booleans(), gamma=st.sampled_from([0.3, 0.6, 1.0])
 )
@@ -54,6 +55,7 @@ def test_one_pass_equals_cut_brighten_and_pack(
     np.testing.assert_array_equal(words[:, :, -1], words[:, :, -2])
 
 
+@in_vectors_only
 def test_an_integrator_takes_what_was_packed_and_memory_is_reused() -> None:
     rng = np.random.default_rng(4)
     images = rng.integers(0, 256, (3, 40, 50, 3), dtype=np.uint8)
@@ -76,6 +78,7 @@ def test_an_integrator_takes_what_was_packed_and_memory_is_reused() -> None:
         cut_and_pack(images[:, :-1], stats, photos=made[1])
 
 
+@in_vectors_only
 def test_where_one_pass_does_not_apply_it_says_so() -> None:
     images = random_images(1, "uint8")
     stats, _ = measure_hue(images)

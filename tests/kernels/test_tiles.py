@@ -11,7 +11,13 @@ from hsvaos import Camera, FocalPlane, FocalTerrain, Integrator, VirtualCamera, 
 from hsvaos.kernels import packing
 from hsvaos.kernels.arrays import Stack
 from hsvaos.kernels.device import resolve_device
-from tests.kernels.strategies import random_camera, random_pose, random_view, seeds
+from tests.kernels.strategies import (
+    in_vectors_only,
+    random_camera,
+    random_pose,
+    random_view,
+    seeds,
+)
 from tests.kernels.test_integrate import looking_down, random_surface
 
 
@@ -35,6 +41,7 @@ KINDS = {
 }
 
 
+@in_vectors_only
 @given(seed=seeds, kind=st.sampled_from(sorted(KINDS)))
 def test_tiles_equal_the_plain_kernel(seed: int, kind: str) -> None:
     rng = np.random.default_rng(seed)
@@ -67,6 +74,7 @@ def test_tiles_equal_the_plain_kernel(seed: int, kind: str) -> None:
         assert decibel(image[certain], expected[certain], white) > 65.0
 
 
+@in_vectors_only
 @pytest.mark.parametrize("dtype", ["uint8", "uint16"])
 @given(seed=seeds)
 def test_rarity_like_weights_lose_no_accuracy(dtype: str, seed: int) -> None:
@@ -172,6 +180,7 @@ def test_no_frame_within_the_aperture_gives_no_sample() -> None:
         assert not cover.any()
 
 
+@in_vectors_only
 def test_packed_photos_are_made_once_and_shared_masks_count_for_all() -> None:
     rng = np.random.default_rng(0)
     camera = Camera.from_fov(20, 16, 60)
@@ -187,6 +196,7 @@ def test_packed_photos_are_made_once_and_shared_masks_count_for_all() -> None:
     assert photos.row * 4 % packing.LINE == 0
 
 
+@in_vectors_only
 @given(seed=seeds, ortho=st.booleans())
 def test_a_deep_stack_equals_its_planes_one_by_one(seed: int, ortho: bool) -> None:
     """From 8 planes on photos are gathered in pairs of rows; nothing else may change."""
