@@ -3,12 +3,13 @@
 from functools import lru_cache
 from typing import Any
 
+import cv2
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
 from hsvaos.kernels.arrays import Stack, device_of, require_unit_range, valid_array
-from hsvaos.kernels.device import bands, launch
+from hsvaos.kernels.device import bands, in_vectors, launch
 from hsvaos.kernels.pixels import as_vec3
 
 wp.set_module_options({"enable_backward": False})
@@ -60,17 +61,35 @@ def channel_quantiles(images: Any, *, valid: Any = None, device: Any = None) -> 
     stack.require_colour()
     require_unit_range(stack)
     masks = valid_array(valid, stack)
+    counted = _count_bytes if stack.scalar is wp.uint8 and in_vectors(stack.device) else _count
+    cumulated = counted(stack, masks).cumsum(axis=-1)
+    total = cumulated[..., -1]
+    rows = [(cumulated < q * total[..., None]).sum(axis=-1) for q in _QUANTILES]
+    quartiles = np.stack(rows, axis=1) / (_LEVELS - 1.0)
+    return np.where(total[:, None, :] > 0, quartiles, np.nan)
+
+
+def _count(stack: Stack, masks: Any) -> NDArray[np.int64]:
+    """Return how often each level occurs, shape (N, 3, 1024)."""
     shape = (stack.count, len(bands(stack.size, stack.device)), 3, _LEVELS)
     counts = wp.zeros(shape, dtype=wp.int32, device=stack.device)
     kernel = _levels_kernel(stack.pixel)
     for i in range(stack.count):
         inputs = [stack.white, stack.pixels[i], masks[i % masks.shape[0]], counts[i]]
         launch(kernel, stack.size, inputs, stack.device)
-    cumulated = counts.numpy().sum(axis=1, dtype=np.int64).cumsum(axis=-1)
-    total = cumulated[..., -1]
-    rows = [(cumulated < q * total[..., None]).sum(axis=-1) for q in _QUANTILES]
-    quartiles = np.stack(rows, axis=1) / (_LEVELS - 1.0)
-    return np.where(total[:, None, :] > 0, quartiles, np.nan)
+    return counts.numpy().sum(axis=1, dtype=np.int64)
+
+
+def _count_bytes(stack: Stack, masks: Any) -> NDArray[np.int64]:
+    """The same for bytes on the CPU, where OpenCV counts."""
+    levels = (np.arange(256) * ((_LEVELS - 1.0) / 255.0) + 0.5).astype(int)
+    counts = np.zeros((stack.count, 3, _LEVELS), np.int64)
+    for i in range(stack.count):
+        image = stack.array[i].numpy()
+        valid = masks[i % masks.shape[0]].numpy().reshape(image.shape[:2])
+        for c in range(3):
+            counts[i, c, levels] = cv2.calcHist([image], [c], valid, [256], [0, 256]).ravel()
+    return counts
 
 
 def level_gains(quantiles: NDArray[np.float64]) -> NDArray[np.float64]:

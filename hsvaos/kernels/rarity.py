@@ -23,9 +23,10 @@ from hsvaos.kernels.arrays import (
     scalar_type,
     valid_array,
 )
-from hsvaos.kernels.device import launch
+from hsvaos.kernels.device import in_vectors, launch
 from hsvaos.kernels.pixels import as_value, is_colour
 from hsvaos.kernels.rarity_bins import Tables, bin_function, bin_tables, count_photo, counts_shape
+from hsvaos.kernels.rarity_chunks import weigh_bytes
 from hsvaos.rarity_model import CHROMA_BINS, LIGHTNESS_BINS, RarityModel, model_from_counts
 
 wp.set_module_options({"enable_backward": False})
@@ -159,8 +160,12 @@ def weigh_photo(
         table: Warp array of the weight of each bin, uint8 or float32.
         weights: Warp array (H * W) of that type, written.
     """
-    inputs = [scale, *tables, pixels, valid, table, weights]
-    launch(_weight_kernel(pixels.dtype, table.dtype), pixels.size, inputs, pixels.device)
+    inputs = [*tables, pixels, valid, table, weights]
+    if pixels.dtype is wp.vec3ub and in_vectors(pixels.device):
+        weigh_bytes(pixels, table, inputs)
+    else:
+        kernel = _weight_kernel(pixels.dtype, table.dtype)
+        launch(kernel, pixels.size, [scale, *inputs], pixels.device)
 
 
 def apply_rarity(

@@ -6,9 +6,10 @@ from typing import Any
 import warp as wp
 
 from hsvaos.kernels.arrays import Stack
-from hsvaos.kernels.device import bands, launch
+from hsvaos.kernels.device import bands, in_vectors, launch
 from hsvaos.kernels.lab import byte_light, lab_of_light, lab_pixel, lab_tables
 from hsvaos.kernels.pixels import as_value, as_vec3, is_colour
+from hsvaos.kernels.rarity_chunks import count_bytes
 from hsvaos.rarity_model import (
     CHROMA_BINS,
     CHROMA_RANGE,
@@ -133,5 +134,8 @@ def count_photo(
         kept: Warp array (H * W), float32, set to the bin of every pixel, -1 where it does not
             count; None to keep none.
     """
-    inputs = [scale, *tables, pixels, valid, counts, kept]
-    launch(_count_kernel(pixels.dtype), pixels.size, inputs, pixels.device)
+    inputs = [*tables, pixels, valid, counts, kept]
+    if pixels.dtype is wp.vec3ub and in_vectors(pixels.device):
+        count_bytes(pixels, inputs)
+    else:
+        launch(_count_kernel(pixels.dtype), pixels.size, [scale, *inputs], pixels.device)
