@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from bench.gpu_forms import FORMS
 from bench.harness import Contenders, size
 from bench.peers import GPU_PEERS, PEERS, opencv, plane_homography, premultiply
 from hsvaos import FocalPlane, Integrator, reference
@@ -84,6 +85,8 @@ def flight() -> Contenders:
 def flight_on_gpu() -> Contenders:
     scene = Scene(size(FLIGHT, 3), size(1024))
     contenders = {"hsvaos kernel": scene.on_gpu()}
+    device = wp.get_device("cuda:0")
+    contenders |= {name: make(scene, device) for name, make in FORMS.items()}
     contenders |= {name: scene.peer(make) for name, make in GPU_PEERS.items()}
     return {name: work for name, work in contenders.items() if work is not None}
 

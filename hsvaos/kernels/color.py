@@ -18,7 +18,8 @@ from hsvaos.kernels.arrays import (
     scalar_type,
     valid_array,
 )
-from hsvaos.kernels.device import launch
+from hsvaos.kernels.device import in_vectors, launch
+from hsvaos.kernels.hsv_chunks import convert_to_hsv
 from hsvaos.kernels.pixels import as_value, as_vec3, brightness, store, times_gain
 
 wp.set_module_options({"enable_backward": False})
@@ -149,9 +150,12 @@ def rgb_to_hsv(images: Any, *, out: Any = None, device: Any = None) -> Any:
     stack.require_colour()
     hsv = output_array(out, tuple(stack.array.shape), wp.float32, stack.device, "out")
     target = pixel_view(hsv, wp.vec3, (stack.count, stack.size))
-    kernel = _to_hsv_kernel(stack.pixel)
     for i in range(stack.count):
-        launch(kernel, stack.size, [stack.white, stack.pixels[i], target[i]], stack.device)
+        if in_vectors(stack.device):
+            convert_to_hsv(stack.pixels[i], stack.white, target[i])
+        else:
+            inputs = [stack.white, stack.pixels[i], target[i]]
+            launch(_to_hsv_kernel(stack.pixel), stack.size, inputs, stack.device)
     return like_input(hsv, images) if out is None else out
 
 

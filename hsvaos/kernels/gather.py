@@ -104,6 +104,13 @@ def _gather_kernel(pixel: Any, weight: Any, value: Any) -> Any:
     return gather_kernel
 
 
+@lru_cache
+def _pose_type() -> Any:
+    """NumPy type of a `Pose`; Warp makes it anew each time, which takes longer than a launch."""
+    pose: Any = Pose
+    return np.dtype(pose.numpy_dtype())
+
+
 def packed_poses(poses: NDArray[np.float64], gains: NDArray[np.float64], device: Any) -> Any:
     """Return poses and gains as a Warp array of `Pose`.
 
@@ -112,8 +119,7 @@ def packed_poses(poses: NDArray[np.float64], gains: NDArray[np.float64], device:
         gains: Shape (N, 3).
         device: Warp device.
     """
-    pose: Any = Pose
-    packed: Any = np.zeros(len(poses), dtype=pose.numpy_dtype())
+    packed: Any = np.zeros(len(poses), dtype=_pose_type())
     packed["rotation"] = poses[:, :3, :3].transpose(0, 2, 1)
     packed["centre"] = poses[:, :3, 3]
     packed["gain"] = gains

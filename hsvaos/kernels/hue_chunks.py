@@ -25,16 +25,16 @@ _BLOCKS = """
 _BLOCK = """
         const int some = size - block < BLOCK ? size - block : BLOCK;
         const $source* from = (const $source*)rgb.data + (size_t)3 * (start + block);
-        const unsigned char* use = valid.data + start + block;
         $prepare
 """
-"""Where the pixels of a block are, and whether they count."""
+"""Where the pixels of a block are."""
 
 _CUT = Template("""{
     #pragma clang fp contract(fast)
     $blocks
     for (int block = 0; block < size; block += BLOCK) {
         $block
+        const unsigned char* use = valid.data + start + block;
         unsigned char* to = mask.data + start + block;
         #pragma clang loop vectorize(enable) vectorize_width(16)
         for (int i = 0; i < some; ++i) {
@@ -52,6 +52,7 @@ _COUNT = Template("""{
     long long counts[2 * BINS] = {}, total = 0, seen = 0;
     for (int block = 0; block < size; block += BLOCK) {
         $block
+        const unsigned char* use = valid.data + start + block;
         alignas(64) int bins[BLOCK + 1], amounts[BLOCK + 1];
         int chromas = 0, valids = 0;
         #pragma clang loop vectorize(enable) vectorize_width(16)
@@ -81,8 +82,15 @@ _COUNT = Template("""{
 }""")
 
 
-def _in_blocks(template: Template, pixel: Any, **parts: Any) -> str:
-    """Fill in what all loops over the blocks of a chunk share."""
+def in_blocks(template: Template, pixel: Any, **parts: Any) -> str:
+    """Fill in what all loops over the blocks of a chunk share.
+
+    Args:
+        template: C with `$blocks` before the loop over blocks and `$block` at its start, where
+            `chunk`, `count` and `rgb` are known; a block has `some` pixels from `start + block` on.
+        pixel: Warp type of the pixels.
+        parts: Whatever else the template asks for.
+    """
     text = PIXELS[pixel]
     block = Template(_BLOCK).substitute(
         source=text.source, prepare="spread(from, words, some);" if text.words else ""
@@ -93,7 +101,7 @@ def _in_blocks(template: Template, pixel: Any, **parts: Any) -> str:
 
 @lru_cache
 def _cut_kernel(pixel: Any) -> Any:
-    @wp.func_native(_in_blocks(_CUT, pixel, cut=cut_text(pixel)))
+    @wp.func_native(in_blocks(_CUT, pixel, cut=cut_text(pixel)))
     def cut_chunk(
         chunk: int,
         count: int,
@@ -126,7 +134,7 @@ def _cut_kernel(pixel: Any) -> Any:
 
 @lru_cache
 def _count_kernel(pixel: Any) -> Any:
-    @wp.func_native(_in_blocks(_COUNT, pixel, hue=hue_text(pixel), bins=BINS))
+    @wp.func_native(in_blocks(_COUNT, pixel, hue=hue_text(pixel), bins=BINS))
     def count_chunk(
         chunk: int,
         band: int,
