@@ -85,6 +85,21 @@ def weights() -> Arrays:
     return [rare, model.probability, kept, rx_masks(images, 0.9)[0]]
 
 
+def chunks() -> Arrays:
+    """Photos of more than two chunks of pixels, the last of them not whole."""
+    images = np.random.default_rng(5).integers(0, 256, (1, 251, 307, 3), dtype=np.uint8)
+    valid = (np.arange(307) % 7 > 0).astype(np.uint8) * 255
+    valid = np.broadcast_to(valid, (251, 307)).copy()
+    stats, histogram = measure_hue(images, 1.0, valid=valid)
+    cut = apply_hue_cut(images, stats, valid=valid)
+    rare, model = rarity_weights(images, valid=valid)
+    floats, _ = rarity_weights(images, valid=valid, dtype="float32")
+    levels = channel_quantiles(images, valid=valid)
+    hsv = rgb_to_hsv(images)
+    hue = [stats[0].mean_deg, stats[0].sigma_deg, histogram.sum()]  # bins' edges are common hues
+    return [np.array(hue), cut, rare, model.counts, floats, levels, hsv[..., 1:], hsv[..., 0]]
+
+
 def focus() -> Arrays:
     stack = np.random.default_rng(4).random((2, 36, 40, 3)).astype(np.float32)
     return [focus_measure(stack, np.ones(stack.shape[:3], np.float32), core_px=1, ring_px=4)]
@@ -110,6 +125,7 @@ WORK: dict[str, Callable[[], Arrays]] = {
     "hue": hue,
     "colours": colours,
     "weights": weights,
+    "photos of several chunks": chunks,
     "focus": focus,
     "live, hue cut": lambda: live("hue"),
     "live, rarity": lambda: live("rarity"),
