@@ -10,11 +10,12 @@ from typing import Any
 import warp as wp
 
 from hsvaos.kernels.arrays import pixel_view
-from hsvaos.kernels.device import launch
+from hsvaos.kernels.device import bands, in_vectors, launch
 from hsvaos.kernels.gather import PlacedPhotos, Pose
 from hsvaos.kernels.lab import lab_pixel, lab_tables
-from hsvaos.kernels.lens import Lens, project
+from hsvaos.kernels.lens import Lens
 from hsvaos.kernels.pixels import as_colour, as_value, times_gain
+from hsvaos.kernels.spots import spot_functions, spot_memory
 
 wp.set_module_options({"enable_backward": False})
 
@@ -46,7 +47,9 @@ def likeness(apart: float) -> float:
 
 
 @lru_cache
-def _coherence_kernel(pixel: Any, weight: Any, value: Any) -> Any:
+def _coherence_kernel(pixel: Any, weight: Any, value: Any, at_once: bool) -> Any:
+    find_spots, tell_spot = spot_functions(at_once)
+
     @wp.kernel(module="unique", enable_backward=False)
     def coherence_kernel(
         offset: int,
@@ -63,6 +66,8 @@ def _coherence_kernel(pixel: Any, weight: Any, value: Any) -> Any:
         white: float,
         gamma: wp.array(dtype=float),
         curve: wp.array(dtype=float),
+        rows: wp.array(dtype=float),
+        places: wp.array2d(dtype=int),
         image: wp.array(dtype=value),
         coherence: wp.array(dtype=float),
     ):
@@ -76,36 +81,32 @@ def _coherence_kernel(pixel: Any, weight: Any, value: Any) -> Any:
         least = int(0)
         if point[3] > 0.0:
             place = wp.vec3(point[0], point[1], point[2])
+            find_spots(band, place, aperture2, lens, rows, places)
             for k in range(order.shape[0]):
                 n = order[k]
-                away = place - poses[n].centre
-                if away[0] * away[0] + away[1] * away[1] <= aperture2:
-                    at = project(poses[n].rotation * away, lens)
-                    x = int(wp.floor(at[0] + 0.5))
-                    y = int(wp.floor(at[1] + 0.5))
-                    if at[2] > 0.0 and x >= 0 and y >= 0 and x < lens.width and y < lens.height:
-                        spot = y * lens.width + x
-                        share = float(1.0)
-                        if weight_unit > 0.0:
-                            share = float(weights[n * weight_step, spot]) * weight_unit
-                        if share > 0.0:
-                            seen += 1
-                        if share >= LEAST_WEIGHT and (count < MOST_RAYS or share > held[least]):
-                            if count == MOST_RAYS:  # of equal rays the first stay
-                                for j in range(least, MOST_RAYS - 1):
-                                    held[j] = held[j + 1]
-                                    photo[j] = photo[j + 1]
-                                    spots[j] = spots[j + 1]
-                                count -= 1
-                            held[count] = share
-                            photo[count] = n
-                            spots[count] = spot
-                            count += 1
-                            if count == MOST_RAYS:
-                                least = int(0)
-                                for j in range(1, MOST_RAYS):
-                                    if held[j] <= held[least]:
-                                        least = j
+                spot = tell_spot(band, k, place, poses[n], aperture2, lens, places)
+                if spot >= 0:
+                    share = float(1.0)
+                    if weight_unit > 0.0:
+                        share = float(weights[n * weight_step, spot]) * weight_unit
+                    if share > 0.0:
+                        seen += 1
+                    if share >= LEAST_WEIGHT and (count < MOST_RAYS or share > held[least]):
+                        if count == MOST_RAYS:  # of equal rays the first stay
+                            for j in range(least, MOST_RAYS - 1):
+                                held[j] = held[j + 1]
+                                photo[j] = photo[j + 1]
+                                spots[j] = spots[j + 1]
+                            count -= 1
+                        held[count] = share
+                        photo[count] = n
+                        spots[count] = spot
+                        count += 1
+                        if count == MOST_RAYS:
+                            least = int(0)
+                            for j in range(1, MOST_RAYS):
+                                if held[j] <= held[least]:
+                                    least = j
         # three vectors, not a matrix, and each pair once: most of the time goes into this
         light = _rays(0.0)
         green = _rays(0.0)
@@ -171,10 +172,16 @@ def gather_coherence(
     """
     stack, weights, size = photos.stack, photos.weights, points.size
     value = wp.vec3 if stack.channels == 3 else wp.float32
+    at_once = in_vectors(stack.device)
+    memory: tuple[Any, Any] = (None, None)
+    if at_once:
+        parts = len(bands(size, stack.device))
+        memory = spot_memory(photos.poses.numpy(), photos.order.numpy(), parts)
     inputs = [
         *(photos.lens, photos.poses, photos.order, reach * reach),
         *(points, stack.pixels, weights, photos.weight_unit, int(weights.shape[0] > 1)),
-        *(stack.white, *lab_tables(stack.device)),
+        *(stack.white, *lab_tables(stack.device), *memory),
         *(pixel_view(image, value, (size,)), pixel_view(coherence, wp.float32, (size,))),
     ]
-    launch(_coherence_kernel(stack.pixel, weights.dtype, value), size, inputs, stack.device)
+    kernel = _coherence_kernel(stack.pixel, weights.dtype, value, at_once)
+    launch(kernel, size, inputs, stack.device)
