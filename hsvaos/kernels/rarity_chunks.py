@@ -7,25 +7,18 @@ from typing import Any
 import warp as wp
 
 from hsvaos.kernels.device import launch
-from hsvaos.kernels.hue_text import SPREAD
+from hsvaos.kernels.hue_chunks import CHUNK, in_blocks
 from hsvaos.kernels.lab import CURVE
 from hsvaos.rarity_model import CHROMA_BINS, CHROMA_RANGE, LIGHTNESS_BINS, LIGHTNESS_FLOOR
 
 wp.set_module_options({"enable_backward": False})
 
-_CHUNK = 32768
-"""Pixels of a chunk: a multiple of the blocks, few enough to share out to threads."""
-
 # what rarity_bins.colour_bin makes of lab.lab_of_light, without branches; uncontracted, so that
 # every colour has the very bin that it has there
-_BINS = Template("""
+_BINS = Template("""{
     #pragma clang fp contract(off)
-    enum { BLOCK = 1024 };
-    const int start = chunk * $chunk;
-    const int size = count - start < $chunk ? count - start : $chunk;
-    alignas(64) unsigned words[BLOCK] = {};
+    $blocks
     alignas(64) int bins[BLOCK];
-    $spread
     const float* lights = light.data;
     const float* curves = curve.data;
     const auto cube_root = [=](float t) {
@@ -40,11 +33,10 @@ _BINS = Template("""
         const int low = whole > 0 ? whole : 0;
         return low < most ? low : most;
     };
-    for (int block = start; block < start + size; block += BLOCK) {
-        const int some = start + size - block < BLOCK ? start + size - block : BLOCK;
-        spread((const unsigned char*)image.data + (size_t)3 * block, words, some);
+    for (int block = 0; block < size; block += BLOCK) {
+        $block
         #pragma clang loop vectorize(enable) vectorize_width(16)
-        for (int i = 0; i < ((some + 15) & ~15); ++i) {
+        for (int i = 0; i < some; ++i) {
             const float r = lights[words[i] & 255u];
             const float g = lights[256 + (words[i] >> 8 & 255u)];
             const float b = lights[512 + (words[i] >> 16 & 255u)];
@@ -60,12 +52,12 @@ _BINS = Template("""
         }
         $use
     }
-""")
+}""")
 
 _COUNT = """
-        const unsigned char* use = valid.data + block;
+        const unsigned char* use = valid.data + start + block;
         long long* to = (long long*)counts.data + (size_t)band * counts.shape[1];
-        float* keep = kept.data ? kept.data + block : nullptr;
+        float* keep = kept.data ? kept.data + start + block : nullptr;
         for (int i = 0; i < some; ++i) {
             if (use[i] != 0) ++to[bins[i]];
         }
@@ -73,8 +65,8 @@ _COUNT = """
 """
 
 _WEIGH = Template("""
-        const unsigned char* use = valid.data + block;
-        $scalar* to = weights.data + block;
+        const unsigned char* use = valid.data + start + block;
+        $scalar* to = weights.data + start + block;
         for (int i = 0; i < some; ++i) {
             const $scalar weight = table.data[bins[i]];
             to[i] = use[i] == 255 ? weight : ($scalar)((float)weight * (float)use[i] / 255.0f);
@@ -83,9 +75,9 @@ _WEIGH = Template("""
 
 
 def _text(use: str) -> str:
-    filled = _BINS.substitute(
-        chunk=_CHUNK,
-        spread=SPREAD,
+    return in_blocks(
+        _BINS,
+        wp.vec3ub,
         last=CURVE - 1,
         floor=f"{LIGHTNESS_FLOOR}f",
         levels=LIGHTNESS_BINS,
@@ -94,7 +86,6 @@ def _text(use: str) -> str:
         bins=CHROMA_BINS,
         use=use,
     )
-    return "{" + filled + "}"
 
 
 @wp.func_native(_text(_COUNT))
@@ -104,7 +95,7 @@ def _count_chunk(
     count: int,
     light: wp.array(dtype=float),
     curve: wp.array(dtype=float),
-    image: wp.array(dtype=wp.vec3ub),
+    rgb: wp.array(dtype=wp.vec3ub),
     valid: wp.array(dtype=wp.uint8),
     counts: wp.array2d(dtype=wp.int64),
     kept: wp.array(dtype=float),
@@ -118,12 +109,12 @@ def _count_kernel(
     count: int,
     light: wp.array(dtype=float),
     curve: wp.array(dtype=float),
-    image: wp.array(dtype=wp.vec3ub),
+    rgb: wp.array(dtype=wp.vec3ub),
     valid: wp.array(dtype=wp.uint8),
     counts: wp.array2d(dtype=wp.int64),
     kept: wp.array(dtype=float),
 ):
-    _count_chunk(wp.tid() + offset, band, count, light, curve, image, valid, counts, kept)
+    _count_chunk(wp.tid() + offset, band, count, light, curve, rgb, valid, counts, kept)
 
 
 @lru_cache
@@ -136,7 +127,7 @@ def _weigh_kernel(scalar: Any) -> Any:
         count: int,
         light: wp.array(dtype=float),
         curve: wp.array(dtype=float),
-        image: wp.array(dtype=wp.vec3ub),
+        rgb: wp.array(dtype=wp.vec3ub),
         valid: wp.array(dtype=wp.uint8),
         table: wp.array(dtype=scalar),
         weights: wp.array(dtype=scalar),
@@ -149,12 +140,12 @@ def _weigh_kernel(scalar: Any) -> Any:
         count: int,
         light: wp.array(dtype=float),
         curve: wp.array(dtype=float),
-        image: wp.array(dtype=wp.vec3ub),
+        rgb: wp.array(dtype=wp.vec3ub),
         valid: wp.array(dtype=wp.uint8),
         table: wp.array(dtype=scalar),
         weights: wp.array(dtype=scalar),
     ):
-        weigh_chunk(wp.tid() + offset, count, light, curve, image, valid, table, weights)
+        weigh_chunk(wp.tid() + offset, count, light, curve, rgb, valid, table, weights)
 
     return weigh_kernel
 
@@ -164,7 +155,7 @@ def count_bytes(pixels: Any, inputs: list[Any]) -> None:
 
     Args:
         pixels: Warp array (H * W) of vec3ub, on the CPU.
-        inputs: light, curve, image, valid, counts and kept, as `rarity_bins._count_kernel`.
+        inputs: light, curve, rgb, valid, counts and kept, as `rarity_bins._count_kernel`.
     """
     _launch(_count_kernel, pixels, inputs)
 
@@ -175,10 +166,10 @@ def weigh_bytes(pixels: Any, table: Any, inputs: list[Any]) -> None:
     Args:
         pixels: Warp array (H * W) of vec3ub, on the CPU.
         table: Warp array of the weight of each bin, uint8 or float32.
-        inputs: light, curve, image, valid, table and weights, as `rarity._weight_kernel`.
+        inputs: light, curve, rgb, valid, table and weights, as `rarity._weight_kernel`.
     """
     _launch(_weigh_kernel(table.dtype), pixels, inputs)
 
 
 def _launch(kernel: Any, pixels: Any, inputs: list[Any]) -> None:
-    launch(kernel, -(-pixels.size // _CHUNK), [pixels.size, *inputs], pixels.device, 1)
+    launch(kernel, -(-pixels.size // CHUNK), [pixels.size, *inputs], pixels.device, 1)

@@ -52,8 +52,10 @@ def terrain() -> FocalTerrain:
     return FocalTerrain.from_arrays(axis, axis, np.sin(axis / 9)[:, None] * np.cos(axis / 7))
 
 
-def integral(dtype: str, colour: bool, camera: Camera) -> Arrays:
+def integral(dtype: str, colour: bool, camera: Camera, soft: bool = False) -> Arrays:
     images, masks, poses = scene(dtype, colour)
+    if soft:
+        masks = masks // 2 + np.arange(48, dtype=np.uint8)
     integrator = Integrator(
         camera, images, poses, masks, gains=np.linspace(0.8, 1.2, 15).reshape(5, 3)
     )
@@ -117,6 +119,7 @@ def live(method: str) -> Arrays:
 
 WORK: dict[str, Callable[[], Arrays]] = {
     "integrals of RGB bytes": lambda: integral("uint8", True, CAMERA),
+    "integrals of RGB bytes, soft weights": lambda: integral("uint8", True, CAMERA, soft=True),
     "integrals of RGB words": lambda: integral("uint16", True, CAMERA),
     "integrals of RGB floats": lambda: integral("float32", True, CAMERA),
     "integrals of grey bytes": lambda: integral("uint8", False, CAMERA),
