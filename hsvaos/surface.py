@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -61,7 +62,7 @@ class FocalTerrain:
         east0_m: East of node (0, 0) [m].
         spacing_m: Distance of neighbouring nodes, both ways [m].
         down_m: Shape (rows, columns), float32 down of the surface [m]; rows run to the north,
-            columns to the east. NaN where unknown.
+            columns to the east. NaN where unknown. Copied; not writeable after that.
 
     Raises:
         ValueError: If the grid is smaller than 2 x 2, has no finite node or no positive spacing, or
@@ -75,7 +76,7 @@ class FocalTerrain:
     down_m: NDArray[np.float32]
 
     def __post_init__(self) -> None:
-        down = np.ascontiguousarray(self.down_m, dtype=np.float32)
+        down = np.array(self.down_m, dtype=np.float32, order="C")
         if down.ndim != 2 or min(down.shape) < 2:
             raise ValueError(f"down_m must be a grid of at least 2 x 2, got shape {down.shape}")
         if np.isinf(down).any() or np.isnan(down).all():
@@ -89,6 +90,7 @@ class FocalTerrain:
             object.__setattr__(self, name, float(value))
         if self.spacing_m <= 0.0:
             raise ValueError(f"spacing_m must be a positive distance, got {self.spacing_m!r}")
+        down.flags.writeable = False  # devices hold copies of it
         object.__setattr__(self, "down_m", down)
 
     @classmethod
@@ -159,12 +161,12 @@ class FocalTerrain:
 
         return read_terrain(Path(path), origin)
 
-    @property
+    @cached_property
     def lowest_m(self) -> float:
         """Greatest down of the surface [m]."""
         return float(np.nanmax(self.down_m))
 
-    @property
+    @cached_property
     def highest_m(self) -> float:
         """Least down of the surface [m]."""
         return float(np.nanmin(self.down_m))

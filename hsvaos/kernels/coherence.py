@@ -11,11 +11,12 @@ import warp as wp
 
 from hsvaos.kernels.arrays import pixel_view
 from hsvaos.kernels.device import bands, in_vectors, launch
-from hsvaos.kernels.gather import PlacedPhotos, Pose
+from hsvaos.kernels.gather import PlacedPhotos
 from hsvaos.kernels.lab import lab_pixel, lab_tables
 from hsvaos.kernels.lens import Lens
 from hsvaos.kernels.pixels import as_colour, as_value, times_gain
 from hsvaos.kernels.spots import spot_functions, spot_memory
+from hsvaos.kernels.stations import Pose
 
 wp.set_module_options({"enable_backward": False})
 

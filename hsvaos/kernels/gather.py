@@ -4,26 +4,15 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
-from hsvaos.camera import Camera
 from hsvaos.kernels.arrays import Stack, pixel_view
 from hsvaos.kernels.device import launch
-from hsvaos.kernels.lens import Lens, lens, project
+from hsvaos.kernels.lens import Lens, project
 from hsvaos.kernels.pixels import as_value, times_gain
+from hsvaos.kernels.stations import Pose
 
 wp.set_module_options({"enable_backward": False})
-
-
-@wp.struct
-class Pose:
-    """World to camera: rotation, centre relative to the virtual camera's [m], and photo's gain."""
-
-    rotation: wp.mat33
-    centre: wp.vec3
-    gain: wp.vec3
 
 
 @lru_cache
@@ -104,28 +93,6 @@ def _gather_kernel(pixel: Any, weight: Any, value: Any) -> Any:
     return gather_kernel
 
 
-@lru_cache
-def _pose_type() -> Any:
-    """NumPy type of a `Pose`; Warp makes it anew each time, which takes longer than a launch."""
-    pose: Any = Pose
-    return np.dtype(pose.numpy_dtype())
-
-
-def packed_poses(poses: NDArray[np.float64], gains: NDArray[np.float64], device: Any) -> Any:
-    """Return poses and gains as a Warp array of `Pose`.
-
-    Args:
-        poses: Shape (N, 4, 4), world from camera.
-        gains: Shape (N, 3).
-        device: Warp device.
-    """
-    packed: Any = np.zeros(len(poses), dtype=_pose_type())
-    packed["rotation"] = poses[:, :3, :3].transpose(0, 2, 1)
-    packed["centre"] = poses[:, :3, 3]
-    packed["gain"] = gains
-    return wp.array(packed, dtype=Pose, device=device)
-
-
 @dataclass(frozen=True, eq=False)
 class PlacedPhotos:
     """Photos as they are, and from where they were taken, on the device.
@@ -135,7 +102,7 @@ class PlacedPhotos:
         weights: Warp array (N or 1, H * W), uint8, uint16 or float32.
         weight_unit: Weight of 1 in that array; 0 if all pixels have the weight 1.
         lens: Lens of their camera.
-        poses: Warp array (N) of `Pose`, relative to the points' origin.
+        poses: Warp array (N) of `Pose`, relative to the points' origin, see `Stations.seen_from`.
         order: Warp array of int, numbers of the photos to use.
     """
 
@@ -145,30 +112,6 @@ class PlacedPhotos:
     lens: Any
     poses: Any
     order: Any
-
-
-def place_photos(
-    camera: Camera,
-    stack: Stack,
-    weights: tuple[Any, float],
-    poses: NDArray[np.float64],
-    gains: NDArray[np.float64],
-    order: NDArray[np.int32],
-) -> PlacedPhotos:
-    """Bring to the device what all integrals of one view share.
-
-    Args:
-        camera: Camera of the photos.
-        stack: The photos.
-        weights: Warp array and unit, see `PlacedPhotos`.
-        poses: Shape (N, 4, 4), world from camera, relative to the points' origin.
-        gains: Shape (N, 3), factors on the channels.
-        order: Numbers of the photos to use.
-    """
-    device = stack.device
-    numbers = wp.array(order, dtype=int, device=device)
-    placed = packed_poses(poses, gains, device)
-    return PlacedPhotos(stack, *weights, lens(camera), placed, numbers)
 
 
 def gather(photos: PlacedPhotos, reach: float, points: Any, image: Any, footprint: Any) -> None:

@@ -26,9 +26,12 @@ from hsvaos.kernels.arrays import (
 )
 from hsvaos.kernels.coherence import gather_coherence
 from hsvaos.kernels.device import free_memory, in_vectors
-from hsvaos.kernels.gather import PlacedPhotos, gather, place_photos
+from hsvaos.kernels.gather import PlacedPhotos, gather
+from hsvaos.kernels.lens import lens
 from hsvaos.kernels.packing import Packed, pack, pair_rows
 from hsvaos.kernels.rays import focal_points, plane_map
+from hsvaos.kernels.scratch import scratch
+from hsvaos.kernels.stations import Stations
 from hsvaos.kernels.tiles import TilePhotos, gather_planes, gather_tiles
 from hsvaos.surface import FocalPlane, FocalSurface, FocalTerrain
 
@@ -53,7 +56,10 @@ class Integrator:
     first focal stack of 8 planes or more takes another 8 for uint8 RGB under a mask, where they are
     free; what is written into the photos' memory after that is not seen. See `kernels.packing` for
     what is rounded, and `kernels.gather` for the plain kernel, which runs where rounding would cost
-    accuracy, and on CUDA.
+    accuracy, and on CUDA. There photos and poses are brought over once; an integral into `out` of
+    the device allocates nothing after the first one of its size and waits for nothing, so that a
+    CUDA graph (`warp.ScopedCapture`) can hold it. Only lists of `frames` with gaps, and those that
+    an aperture leaves, are brought over anew.
 
     Args:
         camera: The camera of all photos.
@@ -102,6 +108,7 @@ class Integrator:
         self._packed: Any = _NOT_YET if packed is None else packed
         self._pairs: Packed | None = None
         self._packing = Lock()
+        self._stations: Stations | None = None
 
     def _without_gaps(self, weights: Any) -> Any:
         """Give pixels of float photos that are not finite the value and the weight 0."""
@@ -154,6 +161,7 @@ class Integrator:
         self._photos()
         other = copy(self)
         other.world_from_camera = _checked_poses(world_from_camera, len(self))
+        other._stations = None
         return other
 
     def __len__(self) -> int:
@@ -273,7 +281,7 @@ class Integrator:
         """
         order, reach, image, coherence = self._target(view, surface, aperture_m, frames, out)
         require_unit_range(self._stack)
-        points = focal_points(view, surface, device=self.device)
+        points = self._points(view, surface)
         gather_coherence(self._placed(view, order), reach, points, image, coherence)
         if out is not None:
             return out
@@ -307,9 +315,16 @@ class Integrator:
         return poses
 
     def _placed(self, view: VirtualCamera, order: NDArray[np.int32]) -> PlacedPhotos:
+        if self._stations is None:
+            self._stations = Stations(self.world_from_camera, self._gains, self.device)
+        poses = self._stations.seen_from(view.world_from_camera[:3, 3])
+        numbers = self._stations.numbers(order)
         weights = (self._weights, self._weight_unit)
-        poses = self._poses_from(view)
-        return place_photos(self.camera, self._stack, weights, poses, self._gains, order)
+        return PlacedPhotos(self._stack, *weights, lens(self.camera), poses, numbers)
+
+    def _points(self, view: VirtualCamera, surface: FocalSurface) -> Any:
+        points = scratch("points", view.width * view.height, wp.vec4, self.device)
+        return focal_points(view, surface, out=points, device=self.device)
 
     def _gather(
         self,
@@ -336,9 +351,8 @@ class Integrator:
                 return
         else:
             placed = self._placed(view, order)
-        points = None
         for i, surface in enumerate(surfaces):
-            points = focal_points(view, surface, out=points, device=self.device)
+            points = self._points(view, surface)
             if packed is not None:
                 gather_tiles(tiled, reach, points, view.size, pictures[i], covers[i])
             else:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import warp as wp
@@ -18,6 +19,9 @@ _BISECTIONS = 20
 """Halvings of a step that crossed the terrain: a step of 1 m ends below a micrometre."""
 
 
+_heights: WeakKeyDictionary[FocalTerrain, dict[str, Any]] = WeakKeyDictionary()
+"""Downs of terrains by device, brought there once."""
+
 _LEVEL = 1.0e-9
 """Sine of the angle with a plane below which a ray runs along it."""
 
@@ -33,11 +37,15 @@ class Eye:
 
 @wp.struct
 class Terrain:
-    """Placement of a height field relative to the virtual camera's centre [m]."""
+    """Placement of a height field relative to the virtual camera's centre [m].
+
+    Its downs are held relative to its lowest node, which lies at `level`.
+    """
 
     north0: float
     east0: float
     spacing: float
+    level: float
     top: float
     bottom: float
 
@@ -69,7 +77,7 @@ def terrain_down(
     fx = x - float(j)
     upper = down[i, j] * (1.0 - fx) + down[i, j + 1] * fx
     lower = down[i + 1, j] * (1.0 - fx) + down[i + 1, j + 1] * fx
-    return upper * (1.0 - fy) + lower * fy
+    return terrain.level + (upper * (1.0 - fy) + lower * fy)
 
 
 @wp.func
@@ -292,7 +300,7 @@ def plane_map(view: VirtualCamera, plane: FocalPlane) -> PlaneMap:
 def place_terrain(
     surface: FocalTerrain, centre: NDArray[np.float64], device: Any
 ) -> tuple[Terrain, Any]:
-    """Return a height field's placement and downs relative to a centre, for kernels.
+    """Return a height field's placement relative to a centre, and its downs, for kernels.
 
     Args:
         surface: The height field.
@@ -303,7 +311,11 @@ def place_terrain(
     terrain.north0 = surface.north0_m - centre[0]
     terrain.east0 = surface.east0_m - centre[1]
     terrain.spacing = surface.spacing_m
+    terrain.level = surface.lowest_m - centre[2]
     terrain.top = surface.highest_m - centre[2] - 1e-3  # just above, so that the top is crossed
     terrain.bottom = surface.lowest_m - centre[2] + 1e-3
-    heights = (surface.down_m.astype(np.float64) - centre[2]).astype(np.float32)
-    return terrain, wp.array(heights, dtype=float, device=device)
+    held = _heights.setdefault(surface, {})
+    if device.alias not in held:
+        heights = (surface.down_m.astype(np.float64) - surface.lowest_m).astype(np.float32)
+        held[device.alias] = wp.array(heights, dtype=float, device=device)
+    return terrain, held[device.alias]

@@ -7,8 +7,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from hsvaos.kernels.gather import Pose
 from hsvaos.kernels.lens import Lens, project
+from hsvaos.kernels.stations import Pose
 
 wp.set_module_options({"enable_backward": False})
 

@@ -17,11 +17,13 @@ from hsvaos.camera import Camera
 from hsvaos.hue_statistics import HueStatistics
 from hsvaos.kernels.arrays import Stack
 from hsvaos.kernels.color import brighten
-from hsvaos.kernels.gather import gather, place_photos
+from hsvaos.kernels.gather import PlacedPhotos, gather
 from hsvaos.kernels.hue_mask import cut_photo
 from hsvaos.kernels.hue_pack import cut_and_pack_photo, cut_job
+from hsvaos.kernels.lens import lens
 from hsvaos.kernels.packing import empty_packed, new_packed, pack_over
 from hsvaos.kernels.rays import plane_map
+from hsvaos.kernels.stations import Stations
 from hsvaos.kernels.tiles import TilePhotos, gather_planes, gather_tiles
 from hsvaos.live.sight import Sight
 from hsvaos.surface import FocalPlane
@@ -104,13 +106,18 @@ class Ring(Protocol):
             mask: Warp array (H * W), uint8, written: what the cut leaves.
         """
 
-    def gather(
-        self, poses: NDArray[np.float64], slots: NDArray[np.int32], sight: Sight, out: Out
-    ) -> None:
+    def stand(self, slot: int, world_from_camera: NDArray[np.float64]) -> None:
+        """Say from where the photo of a slot was taken.
+
+        Args:
+            slot: The slot.
+            world_from_camera: Shape (4, 4), world NED [m].
+        """
+
+    def gather(self, slots: NDArray[np.int32], sight: Sight, out: Out) -> None:
         """Integrate the photos of some slots.
 
         Args:
-            poses: Shape (N, 4, 4), of all slots, relative to the view's centre.
             slots: The slots to use.
             sight: What is looked at.
             out: Where to write.
@@ -174,6 +181,8 @@ class PackedRing:
         words = self._photos.words
         self._slots = [replace(self._photos, words=words[i : i + 1]) for i in range(frames)]
         self._gains = np.ones((frames, 3))
+        self._poses = np.tile(np.eye(4), (frames, 1, 1))
+        self._relative = self._poses.copy()
         self.nbytes = self._photos.nbytes
 
     def put(self, slot: int, photo: Stack, weights: Any) -> None:
@@ -186,12 +195,16 @@ class PackedRing:
         job = cut_job(pack, photo.width, self._brightening)
         cut_and_pack_photo(job, 0, photo.pixels[0], valid, wp.vec3(1.0 / photo.white), stats, mask)
 
-    def gather(
-        self, poses: NDArray[np.float64], slots: NDArray[np.int32], sight: Sight, out: Out
-    ) -> None:
+    def stand(self, slot: int, world_from_camera: NDArray[np.float64]) -> None:
         """See `Ring`."""
-        photos = TilePhotos(self._camera, self._photos, poses, self._gains, slots)
+        self._poses[slot] = world_from_camera
+
+    def gather(self, slots: NDArray[np.int32], sight: Sight, out: Out) -> None:
+        """See `Ring`."""
         view, surface = sight.view, sight.surface
+        np.copyto(self._relative, self._poses)
+        self._relative[:, :3, 3] -= view.world_from_camera[:3, 3]  # float32 is exact there
+        photos = TilePhotos(self._camera, self._photos, self._relative, self._gains, slots)
         straight = view.camera is None or not view.camera.has_distortion
         if straight and isinstance(surface, FocalPlane):
             maps = [plane_map(view, surface)]
@@ -215,10 +228,11 @@ class PlainRing:
         self, format: Format, frames: int, brightening: dict[str, float] | None, device: Any
     ) -> None:
         images = wp.zeros((frames, *format.shape), dtype=format.scalar, device=device)
-        self._camera, self._brightening = format.camera, brightening
+        self._lens, self._brightening = lens(format.camera), brightening
         self._stack = Stack(images, device)
         self._weights = wp.zeros((frames, self._stack.size), dtype=wp.uint8, device=device)
-        self._gains = np.ones((frames, 3))
+        poses = np.tile(np.eye(4), (frames, 1, 1))
+        self._stations = Stations(poses, np.ones((frames, 3)), device)
         self.nbytes = int(images.size * wp.types.type_size_in_bytes(images.dtype))
         self.nbytes += int(self._weights.size)
 
@@ -236,10 +250,14 @@ class PlainRing:
             keep = mask.reshape((1, photo.height, photo.width))
             brighten(held, keep, **self._brightening, out=held)
 
-    def gather(
-        self, poses: NDArray[np.float64], slots: NDArray[np.int32], sight: Sight, out: Out
-    ) -> None:
+    def stand(self, slot: int, world_from_camera: NDArray[np.float64]) -> None:
         """See `Ring`."""
+        self._stations.move(slot, world_from_camera)
+
+    def gather(self, slots: NDArray[np.int32], sight: Sight, out: Out) -> None:
+        """See `Ring`."""
+        poses = self._stations.seen_from(sight.view.world_from_camera[:3, 3])
+        numbers = self._stations.numbers(np.sort(slots))
         weights = (self._weights, 1.0 / 255.0)
-        photos = place_photos(self._camera, self._stack, weights, poses, self._gains, slots)
+        photos = PlacedPhotos(self._stack, *weights, self._lens, poses, numbers)
         gather(photos, NO_LIMIT, sight.points, out.image, out.footprint)

@@ -86,7 +86,6 @@ class Window:
         )
         self._weights = wp.zeros(pixels, dtype=wp.uint8, device=self.device)
         self._poses = np.tile(np.eye(4), (frames, 1, 1))
-        self._relative = np.tile(np.eye(4), (frames, 1, 1))
         self._scale = wp.vec3(1.0 / format.white)
         self._count, self._next = 0, 0
         self._one = Out.empty(size, format.channels, self.device)
@@ -155,7 +154,7 @@ class Window:
         if self._summed:
             self._sums.mean(out.image, out.footprint)
         else:
-            self._ring.gather(self._relative_poses(), self.slots, self._sight, out)
+            self._ring.gather(self.slots, self._sight, out)
             self.regathers += 1
 
     def warm_up(self, view: VirtualCamera, surface: FocalSurface, out: Out) -> None:
@@ -190,20 +189,15 @@ class Window:
             self._ring.put(slot, photo, self._weights)
         else:
             self._ring.put(slot, photo, self._valid)
+        self._ring.stand(slot, pose)
         self._poses[slot] = pose
         self._next += 1
         self._count = min(self._count + 1, self.frames)
 
     def _sum(self, slot: int, sign: int) -> None:
         only = np.array([slot], np.int32)
-        self._ring.gather(self._relative_poses(), only, self._sight, self._one)
+        self._ring.gather(only, self._sight, self._one)
         self._sums.add(self._one.image, self._one.footprint, sign)
-
-    def _relative_poses(self) -> NDArray[np.float64]:
-        """Poses relative to the view's centre, where float32 is exact."""
-        np.copyto(self._relative, self._poses)
-        self._relative[:, :3, 3] -= self._sight.view.world_from_camera[:3, 3]
-        return self._relative
 
     def _photo(self, image: Any) -> Stack:
         photo = Stack(image[None], wp.get_device("cpu"), "image")

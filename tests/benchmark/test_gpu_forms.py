@@ -9,7 +9,7 @@ import pytest
 import warp as wp
 
 from bench.bench_integrate import Scene
-from bench.gpu_forms import FORMS, textures_kernel, words_kernel
+from bench.gpu_forms import FORMS, shared_kernel, textures_kernel, words_kernel
 from hsvaos import Integrator
 
 
@@ -25,7 +25,25 @@ def test_a_form_equals_the_kernel(name: str) -> None:
     np.testing.assert_allclose(image.numpy()[sure], expected[sure], atol=0.5)
 
 
-@pytest.mark.parametrize("kernel", [words_kernel, textures_kernel], ids=["words", "textures"])
+@pytest.mark.parametrize("graph", [False, True], ids=["launched", "captured"])
+def test_what_is_raced_on_a_gpu_is_the_integral(
+    graph: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HSVAOS_PORTABLE", "1")  # which a graph can hold
+    scene = Scene(5, 64, 48)
+    work = scene.resident(wp.get_device("cpu"), graph=graph)
+    work()
+    image, footprint = (part.numpy() for part in work())
+    expected, cover = scene.ours()()
+    np.testing.assert_array_equal(footprint, cover)
+    np.testing.assert_array_equal(image, expected)
+
+
+@pytest.mark.parametrize(
+    "kernel",
+    [words_kernel, shared_kernel(117), textures_kernel],
+    ids=["words", "shared", "textures"],
+)
 def test_a_form_compiles_for_cuda(kernel: wp.Kernel, tmp_path: Path) -> None:
     targets = wp.get_cuda_supported_archs()
     if not targets:
