@@ -16,7 +16,7 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -26,7 +26,7 @@ import hsvaos
 from hsvaos.camera import VirtualCamera
 from hsvaos.detect.anomaly import find_persons
 from hsvaos.detect.detections import Detections
-from hsvaos.detect.fragments import FragmentNet
+from hsvaos.detect.fragments import FragmentNet, PhotoEvidence
 from hsvaos.detect.locate import ViewFinds, box_places, merge_views
 from hsvaos.detect.surroundings import REACH_M, with_surroundings
 from hsvaos.detect.yolo import PACKAGED, Detector
@@ -39,11 +39,12 @@ from hsvaos.ground_map import GroundMap, Layer, grid_for
 from hsvaos.kernels.device import quiet_start
 from hsvaos.kernels.integrate import Integrator
 from hsvaos.kernels.rays import focal_points
-from hsvaos.masking import make_masks
+from hsvaos.masking import Masks, make_masks
 from hsvaos.photos import Photos, load_photos
-from hsvaos.rendering import fragment_integrators, make_integrators
+from hsvaos.relief.find import find_relief
+from hsvaos.rendering import evidence_integrators, look_at_photos, make_integrators
 from hsvaos.settings import DetectSettings, Settings, ViewSettings
-from hsvaos.surface import FocalPlane
+from hsvaos.surface import FocalPlane, FocalSurface
 
 try:
     from paper_flights import FIRST_SEED  # run as a script
@@ -61,6 +62,9 @@ FLOOR = 0.02
 COCO_WINDOW_PX = 160
 """Side of the windows that a network trained on COCO sees, enlarged to its own input."""
 
+_IMAGES = ("plain", "hue")
+"""Layers of the paper's own methods, which are measured on every flight."""
+
 Layers = Mapping[str, Layer]
 
 
@@ -74,6 +78,8 @@ class Method:
         tracks: Poses with which it is tried.
         everywhere: Whether on all seeds, or only on those of the ablation.
         wide: Whether it sees what lies around a view, as `hsvaos.run` shows it.
+        relief: Whether it sees the ground where its relief was found, as `hsvaos.run` does, or on a
+            plane.
     """
 
     find: Callable[[Layers], Detections]
@@ -81,6 +87,7 @@ class Method:
     tracks: tuple[str, ...] = ("true",)
     everywhere: bool = False
     wide: bool = False
+    relief: bool = False
 
 
 def methods(coco: Path | None = None) -> dict[str, Method]:
@@ -144,32 +151,37 @@ def methods(coco: Path | None = None) -> dict[str, Method]:
     return {
         "AOS": Method(image("plain"), score, both, True),
         "HSV-AOS": Method(image("hue"), score, both, True),
-        "hsvaos": Method(everything(), score, both, True, wide=True),
-        "all but surroundings": Method(everything(), score),
+        "hsvaos": Method(everything(), score, both, True, wide=True, relief=True),
+        "all but relief": Method(everything(), score, wide=True),
+        "all but surroundings": Method(everything(), score, relief=True),
         "hue, not brightened": Method(image("hue_dark"), score),
         "ground image": Method(image("ground"), score),
         "rarity image": Method(image("rarity"), score),
         "rarity x hue image": Method(image("rarity_hue"), score),
-        "one look": Method(everything(network=once), score, wide=True),
-        "all but rays": Method(everything(rays=False), score, wide=True),
-        "all but rarity map": Method(everything(rarity=False), score, wide=True),
-        "all but coherence": Method(everything(coherence=False), score, wide=True),
-        "all but fragments and ground": Method(everything(fragments=False), score, wide=True),
-        "all but fragment colours": Method(everything(agreeing=False), score, wide=True),
-        "all but ground": Method(everything(ground=False), score, wide=True),
+        "one look": Method(everything(network=once), score, wide=True, relief=True),
+        "all but rays": Method(everything(rays=False), score, wide=True, relief=True),
+        "all but rarity map": Method(everything(rarity=False), score, wide=True, relief=True),
+        "all but coherence": Method(everything(coherence=False), score, wide=True, relief=True),
+        "all but fragments and ground": Method(
+            everything(fragments=False), score, wide=True, relief=True
+        ),
+        "all but fragment colours": Method(
+            everything(agreeing=False), score, wide=True, relief=True
+        ),
+        "all but ground": Method(everything(ground=False), score, wide=True, relief=True),
         "peaks of rarity": Method(of_peaks("rarity_map"), peaks.min_z),
         "peaks of RX": Method(of_peaks("anomaly_map"), peaks.min_z),
         **({} if coco is None else of_coco()),
     }
 
 
-def integrators(photos: Photos, ablation: bool) -> dict[str, Integrator]:
+def integrators(
+    photos: Photos, masks: Masks, evidence: PhotoEvidence, ablation: bool
+) -> dict[str, Integrator]:
     """Return the integrators of a flight, by layer."""
-    settings = Settings().with_values(mask={"statistics": "linear"}, detect={"method": "anomaly"})
-    masks = make_masks(photos, settings)
     by = make_integrators(photos, masks, "hue")
     found = {"plain": by.plain, "rarity": by.rarity, "rarity_map": by.rarity_map}
-    found |= fragment_integrators(photos, masks, FragmentNet())._asdict()
+    found |= evidence_integrators(photos, evidence, masks.gains)._asdict()
     if by.hue is not None:
         found["hue"] = by.hue
     if ablation and by.anomaly_map is not None:
@@ -190,41 +202,71 @@ def measure(
     true = hsvaos.open_flight(folder)
     photos = load_photos(true, device=device)
     ablation = any(not m.everywhere for methods in wanted.values() for m in methods.values())
-    by_name = integrators(photos, ablation)  # nothing but the poses differs between the tracks
+    settings = Settings().with_values(mask={"statistics": "linear"}, detect={"method": "anomaly"})
+    masks = make_masks(photos, settings)
+    evidence = look_at_photos(photos, masks, FragmentNet())
+    # nothing but the poses differs between the tracks
+    by_name = integrators(photos, masks, evidence, ablation)
     for track, use in wanted.items():
         flight = posed(photos.flight, folder, track)
         moved = {name: one.at_poses(flight.poses) for name, one in by_name.items()}
-        for name, result in _measure_track(true, flight, moved, use).items():
+        plane = FocalPlane(flight.ground_down_m or 0.0)
+        there = replace(photos, flight=flight)
+        relief, _ = find_relief(there, evidence.ground, masks.gains, plane)
+        surfaces = {False: plane, True: relief or plane}
+        for name, result in _measure_track(true, flight, moved, surfaces, use).items():
             yield track, name, result
 
 
 def _measure_track(
-    true: Flight, flight: Flight, by_name: dict[str, Integrator], use: Mapping[str, Method]
+    true: Flight,
+    flight: Flight,
+    by_name: dict[str, Integrator],
+    surfaces: Mapping[bool, FocalSurface],
+    use: Mapping[str, Method],
 ) -> dict[str, FlightResult]:
-    """Return the result of every method with the poses of a flight."""
+    """Return the result of every method with the poses of a flight.
+
+    Args:
+        true: The flight with its truth.
+        flight: The flight with the poses to use.
+        by_name: The integrators of all layers, with these poses.
+        surfaces: By whether a method sees the relief.
+        use: The methods.
+    """
     people = read_truth(true)
-    surface = FocalPlane(flight.ground_down_m or 0.0)
     chosen = range(0, len(flight), STRIDE)
     side = round(flight.camera.width * _shrink(flight))
     small = flight.camera.without_distortion().scaled(side, side)
     views = [VirtualCamera(small, flight.poses[k]) for k in chosen]
-    ground = _ground(flight, views, surface, by_name)
-    area = ground_seen_ha(flight, surface)
+    wanted = {method.relief: set(_IMAGES) for method in use.values()}
+    for method in use.values():
+        if method.wide or method.relief or method.tracks == ("true",):
+            wanted[method.relief] = {*by_name, "coherence", "fragment_coherence"}
+    grounds = {
+        which: _ground(flight, views, surfaces[which], by_name, names)
+        for which, names in wanted.items()
+    }
+    area = ground_seen_ha(flight, surfaces[False])
     judged: dict[str, list[JudgedView]] = {name: [] for name in use}
     reported: dict[str, list[ViewFinds]] = {name: [] for name in use}
     for k, view in zip(chosen, views, strict=True):
         around = with_surroundings(view, GSD_M, REACH_M)
-        hits = focal_points(around.view, surface, device=by_name["plain"].device).numpy()
-        hits = hits.reshape(around.view.height, around.view.width, 4)
-        own_hits = around.cut(hits)
-        seen = ground.seen_from(around.view, hits)
-        cut = {name: (around.cut(a), around.cut(b)) for name, (a, b) in seen.items()}
         truth = truth_boxes(people, view)
-        for name, method in use.items():
-            found = around.within(method.find(seen)) if method.wide else method.find(cut)
-            judged[name].append(JudgedView(flight.frames[k].name, found, truth))
-            sure = found.above(method.score)
-            reported[name].append(ViewFinds(view, sure, *box_places(sure, own_hits, view)))
+        for which, ground in grounds.items():
+            device = by_name["plain"].device
+            hits = focal_points(around.view, surfaces[which], device=device).numpy()
+            hits = hits.reshape(around.view.height, around.view.width, 4)
+            own_hits = around.cut(hits)
+            seen = ground.seen_from(around.view, hits)
+            cut = {name: (around.cut(a), around.cut(b)) for name, (a, b) in seen.items()}
+            for name, method in use.items():
+                if method.relief != which:
+                    continue
+                found = around.within(method.find(seen)) if method.wide else method.find(cut)
+                judged[name].append(JudgedView(flight.frames[k].name, found, truth))
+                sure = found.above(method.score)
+                reported[name].append(ViewFinds(view, sure, *box_places(sure, own_hits, view)))
     detect = DetectSettings()
     return {
         name: FlightResult(
@@ -246,20 +288,23 @@ def _measure_track(
 def _ground(
     flight: Flight,
     views: list[VirtualCamera],
-    surface: FocalPlane,
+    surface: FocalSurface,
     by_name: dict[str, Integrator],
+    names: Collection[str],
 ) -> GroundMap:
-    """Integrate the ground once, in every way."""
+    """Integrate the ground once, in every way that is named."""
     grid = grid_for(flight, views, surface, ViewSettings())
     if grid is None:
         raise RuntimeError(f"{flight.name}: no ground grid can stand for the views")
     layers: dict[str, Layer] = {}
     for name, integrator in by_name.items():
-        if name == "pieces":
+        if name == "pieces" or name not in names:
             continue
         image, footprint = integrator.integrate(grid, surface)
         layers[name] = (np.asarray(image.numpy()), np.asarray(footprint.numpy()))
     for name, of in (("coherence", "rarity"), ("fragment_coherence", "pieces")):
+        if name not in names:
+            continue
         agreed, coherence = by_name[of].coherence(grid, surface)
         layers[name] = (np.asarray(agreed.numpy()), np.asarray(coherence.numpy()))
     return GroundMap(grid, layers)

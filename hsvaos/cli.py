@@ -24,6 +24,7 @@ from hsvaos.cli_options import (
     MaskOption,
     Out,
     Poses,
+    Relief,
     Scale,
     Score,
     SettingsFile,
@@ -102,6 +103,7 @@ def run(
     focus_down: FocusDown = None,
     terrain: Terrain = None,
     autofocus: Autofocus = False,
+    relief: Relief = None,
     view: Annotated[
         str | None,
         typer.Option(metavar="FRAME|all|ortho", help="Virtual camera. (default: centre frame)"),
@@ -132,7 +134,7 @@ def run(
         view={"frame": view, "gsd_m": gsd, "aperture_m": aperture},
         photos={"scale": scale},
         detect={"method": detect, "enabled": False if no_detect else None},
-    )
+    ).with_values(focus={"relief": relief})
     if score is not None:
         chosen = chosen.with_score(score)
     check_writable(out)

@@ -53,6 +53,14 @@ Terrain = Annotated[
 Autofocus = Annotated[
     bool, typer.Option("--autofocus", help="Search the plane where rare things are sharp.")
 ]
+Relief = Annotated[
+    bool | None,
+    typer.Option(
+        "--relief/--no-relief",
+        help="Find how high the ground is about the focal plane. (default: where the network looks "
+        "and no --focus-down or --terrain is given)",
+    ),
+]
 Aperture = Annotated[
     float | None, typer.Option(metavar="M", help="Radius of the synthetic aperture.")
 ]

@@ -6,18 +6,24 @@ from collections.abc import Callable
 from time import perf_counter
 from typing import Any
 
-from hsvaos.detect.fragments import FragmentNet
+from hsvaos.detect.fragments import FragmentNet, PhotoEvidence
 from hsvaos.detect.locate import merge_views
 from hsvaos.finding import make_finder
-from hsvaos.flight import Flight
+from hsvaos.flight import Flight, FlightError
 from hsvaos.focusing import choose_surface, without_parallax
 from hsvaos.kernels.device import resolve_device
 from hsvaos.masking import Masks, as_bytes, make_masks
 from hsvaos.photos import Photos, Progress, load_photos, with_poses
-from hsvaos.rendering import Integrators, Renderer, fragment_integrators, make_integrators
+from hsvaos.relief.find import find_relief, wants_relief
+from hsvaos.rendering import (
+    Renderer,
+    evidence_integrators,
+    look_at_photos,
+    make_integrators,
+)
 from hsvaos.result import Result, ViewResult
 from hsvaos.settings import Settings
-from hsvaos.surface import FocalSurface
+from hsvaos.surface import FocalPlane, FocalSurface
 from hsvaos.viewing import choose_views, photo_sampling
 
 
@@ -70,9 +76,19 @@ def run(
     clock("focus")
     views, shown = choose_views(photos.flight, settings.view, surface)
     finder = make_finder(settings.detect, len(photos.flight))
-    if finder is not None and finder.looks_at_photos and photos.is_colour:
-        by = _with_fragments(by, photos, masks, surface, progress)
+    asked = settings.focus.relief is True and still is None
+    if asked and not photos.is_colour:
+        raise FlightError(
+            f"{flight.source}: the relief of the ground is found in RGB photos only, got grey ones"
+        )
+    if photos.is_colour and (asked or (finder is not None and finder.looks_at_photos)):
+        evidence = _look(photos, masks, surface, progress)
+        by = by.with_evidence(evidence_integrators(photos, evidence, masks.gains))
         clock("look at photos")
+        if isinstance(surface, FocalPlane) and wants_relief(settings.focus):
+            relief = find_relief(photos, evidence.ground, masks.gains, surface, progress)
+            surface, focus_notes = relief[0] or surface, (*focus_notes, relief[1])
+            clock("find relief")
     spreads = photos.flight.pose_covariances
     renderer = Renderer(by, settings, surface, finder, pose_covariances=spreads)
     renderer = renderer.with_ground_for(photos.flight, [view for _, view in views])
@@ -114,16 +130,12 @@ def run(
     )
 
 
-def _with_fragments(
-    by: Integrators,
-    photos: Photos,
-    masks: Masks,
-    surface: FocalSurface,
-    progress: Progress | None,
-) -> Integrators:
-    """Let a network look for pieces of people in every photo."""
-    net, gsd_m = FragmentNet(), photo_sampling(photos.flight, surface)
-    return by.with_evidence(fragment_integrators(photos, masks, net, gsd_m, progress))
+def _look(
+    photos: Photos, masks: Masks, surface: FocalSurface, progress: Progress | None
+) -> PhotoEvidence:
+    """Let a network look for pieces of people, and for the ground, in every photo."""
+    gsd_m = photo_sampling(photos.flight, surface)
+    return look_at_photos(photos, masks, FragmentNet(), gsd_m, progress)
 
 
 class _Clock:

@@ -243,14 +243,14 @@ def hue_integrator(
     return Integrator(camera, photos.images, poses, hue, gains=gains)
 
 
-def fragment_integrators(
+def look_at_photos(
     photos: Photos,
     masks: Masks,
     net: FragmentNet,
     gsd_m: float | None = None,
     progress: Progress | None = None,
-) -> EvidenceIntegrators:
-    """Return the integrators of what every photo says of the ground, and of pieces of people.
+) -> PhotoEvidence:
+    """Return what a network says of every photo: of pieces of people, and of the ground.
 
     Args:
         photos: Colour photos.
@@ -258,9 +258,6 @@ def fragment_integrators(
         net: The network that looks at them.
         gsd_m: Ground sampling distance of the photos [m/px], see `FragmentNet.evidence`.
         progress: Told how many photos are done.
-
-    Returns:
-        See `evidence_integrators`.
     """
 
     def report(done: int, count: int) -> None:
@@ -268,7 +265,7 @@ def fragment_integrators(
             progress("looking for pieces of people", done, count)
 
     inputs = FragmentInput(photos.images, masks.rarity_model, masks.gains)
-    return evidence_integrators(photos, net.evidence(inputs, gsd_m, report), masks.gains)
+    return net.evidence(inputs, gsd_m, report)
 
 
 def evidence_integrators(

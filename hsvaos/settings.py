@@ -130,6 +130,9 @@ class FocusSettings:
             point below the middle of the cameras.
         roll_deg: Tilt of a focal plane, falling towards the east [deg].
         offset_m: Shift of a terrain downwards [m].
+        relief: Whether to find how high the ground is above and below the focal plane, see
+            `relief.find_relief`. By default where the network looks into colour photos and neither
+            down_m nor terrain is given.
     """
 
     down_m: float | None = None
@@ -141,9 +144,12 @@ class FocusSettings:
     pitch_deg: float = 0.0
     roll_deg: float = 0.0
     offset_m: float = 0.0
+    relief: bool | None = None
 
     def __post_init__(self) -> None:
         _check_types(self, "focus")
+        expected = "no terrain beside it: relief is found about a plane"
+        _require(not self.relief or self.terrain is None, "focus.relief", expected, self.terrain)
         asked = [self.down_m is not None, self.terrain is not None, self.autofocus]
         _require(sum(asked) <= 1, "focus", "only one of down_m, terrain and autofocus", "several")
         expected = f"between 3 and {_MOST_STEPS} planes"

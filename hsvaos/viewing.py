@@ -70,17 +70,14 @@ def ground_grid(flight: Flight, surface: FocalSurface, gsd_m: float | None) -> V
     """
     level = _level(surface)
     outlines, heights = [], []
-    edge = _border(flight.camera.width, flight.camera.height)
-    for pose in flight.poses:
-        rays = flight.camera.back_project(edge) @ pose[:3, :3].T
+    for pose, slopes in zip(flight.poses, _border_slopes(flight), strict=True):
         height = level - pose[2, 3]
         if height <= 0.0:
             continue
         heights.append(height)
-        falling = rays[np.isfinite(rays).all(axis=1) & (rays[:, 2] > 1e-3)]
-        away = falling[:, :2] / falling[:, 2:] * height
+        away = slopes[np.isfinite(slopes).all(axis=1)]
         length = np.linalg.norm(away, axis=1, keepdims=True)
-        away *= np.minimum(1.0, _REACH * height / np.maximum(length, 1e-9))
+        away = height * away * np.minimum(1.0, _REACH / np.maximum(length, 1e-9))
         outlines.append(pose[:2, 3] + away)
     places = np.concatenate(outlines) if outlines else np.zeros((0, 2))
     if len(places) == 0:
@@ -97,6 +94,27 @@ def ground_grid(flight: Flight, surface: FocalSurface, gsd_m: float | None) -> V
             f"{_MAX_GRID_PX / 1e6:.0f} million: give a larger --gsd"
         )
     return VirtualCamera.ortho(float(north), float(west), gsd, width, height_px)
+
+
+def sees_horizon(flight: Flight) -> bool:
+    """Whether a photo looks farther to the side than four times its height.
+
+    Args:
+        flight: The flight, with poses.
+    """
+    slopes = _border_slopes(flight)
+    return not bool((np.linalg.norm(slopes, axis=2) <= _REACH).all())
+
+
+def _border_slopes(flight: Flight) -> NDArray[np.float64]:
+    """Shape (N, K, 2): metres north and east a metre of fall, of the rays of the photos' borders.
+
+    NaN where a ray does not fall, or the lens knows none.
+    """
+    edge = _border(flight.camera.width, flight.camera.height)
+    rays = flight.camera.back_project(edge) @ flight.poses[:, :3, :3].transpose(0, 2, 1)
+    falling = np.isfinite(rays).all(axis=2) & (rays[..., 2] > 1e-3)
+    return rays[..., :2] / np.where(falling, rays[..., 2], np.nan)[..., None]
 
 
 def photo_sampling(flight: Flight, surface: FocalSurface) -> float | None:

@@ -32,17 +32,18 @@ ALLOWED = {
     "focusing": BASE | {"photos", "kernels", "viewing"},
     "ground_map": BASE | {"viewing"},
     "finding": BASE | {"detect"},
+    "relief": BASE | {"photos", "kernels", "viewing", "relief"},
     "fragment_input": BASE | {"kernels", "detect", "rarity_model"},
     "rendering": BASE
     | {"photos", "masking", "kernels", "detect", "result", "finding", "ground_map"}
     | {"fragment_input"},
     "pipeline": BASE
     | {"photos", "masking", "kernels", "detect", "result", "rendering", "focusing", "viewing"}
-    | {"finding"},
+    | {"finding", "relief"},
     "sweeping": BASE | {"photos", "masking", "kernels", "rendering", "viewing", "focusing"},
     "live": BASE
     | {"kernels", "nav", "detect", "rendering", "formats", "photos", "focusing", "viewing"}
-    | {"cli_options", "masking", "finding", "fragment_input"},
+    | {"cli_options", "masking", "finding", "fragment_input", "relief"},
     "demo": BASE | {"formats"},
     "benchmark": BASE | {"kernels", "cli_options", "summary"},
     "report": BASE | {"detect", "result", "sweeping"},

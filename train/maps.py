@@ -26,8 +26,9 @@ from hsvaos.photos import Photos, load_photos
 from hsvaos.rarity_model import RarityModel
 from hsvaos.rendering import (
     Integrators,
-    fragment_integrators,
+    evidence_integrators,
     hue_integrator,
+    look_at_photos,
     make_integrators,
 )
 from hsvaos.settings import Settings
@@ -231,7 +232,8 @@ def _integrators(
     if not photos.is_colour:
         return ours, ours
     if fragments is not None:
-        ours = ours.with_evidence(fragment_integrators(photos, masks, fragments))
+        said = look_at_photos(photos, masks, fragments)
+        ours = ours.with_evidence(evidence_integrators(photos, said, masks.gains))
     mask, gains = Settings().with_values(mask={"statistics": "linear"}).mask, masks.gains
     how = (mask.sigmas, mask.statistics, mask.scope)
     stats, _ = measure_hue(photos.images, *how, valid=photos.valid, gains=gains)

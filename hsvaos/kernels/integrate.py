@@ -29,8 +29,7 @@ from hsvaos.kernels.device import free_memory, in_vectors
 from hsvaos.kernels.gather import PlacedPhotos, gather
 from hsvaos.kernels.lens import lens
 from hsvaos.kernels.packing import Packed, pack, pair_rows
-from hsvaos.kernels.rays import focal_points, plane_map
-from hsvaos.kernels.scratch import scratch
+from hsvaos.kernels.rays import held_points, plane_map
 from hsvaos.kernels.stations import Stations
 from hsvaos.kernels.tiles import TilePhotos, gather_planes, gather_tiles
 from hsvaos.surface import FocalPlane, FocalSurface, FocalTerrain
@@ -281,7 +280,7 @@ class Integrator:
         """
         order, reach, image, coherence = self._target(view, surface, aperture_m, frames, out)
         require_unit_range(self._stack)
-        points = self._points(view, surface)
+        points = held_points(view, surface, self.device)
         gather_coherence(self._placed(view, order), reach, points, image, coherence)
         if out is not None:
             return out
@@ -322,10 +321,6 @@ class Integrator:
         weights = (self._weights, self._weight_unit)
         return PlacedPhotos(self._stack, *weights, lens(self.camera), poses, numbers)
 
-    def _points(self, view: VirtualCamera, surface: FocalSurface) -> Any:
-        points = scratch("points", view.width * view.height, wp.vec4, self.device)
-        return focal_points(view, surface, out=points, device=self.device)
-
     def _gather(
         self,
         view: VirtualCamera,
@@ -352,7 +347,7 @@ class Integrator:
         else:
             placed = self._placed(view, order)
         for i, surface in enumerate(surfaces):
-            points = self._points(view, surface)
+            points = held_points(view, surface, self.device)
             if packed is not None:
                 gather_tiles(tiled, reach, points, view.size, pictures[i], covers[i])
             else:

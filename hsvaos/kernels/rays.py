@@ -1,5 +1,6 @@
 """Rays of a virtual camera, and where they meet the focal surface."""
 
+import threading
 from dataclasses import dataclass
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from hsvaos.camera import Camera, VirtualCamera
 from hsvaos.kernels.device import ROW_GRAIN, in_vectors, launch, resolve_device
 from hsvaos.kernels.lens import Lens, back_project, lens
+from hsvaos.kernels.scratch import scratch
 from hsvaos.surface import FocalPlane, FocalSurface, FocalTerrain
 
 wp.set_module_options({"enable_backward": False})
@@ -21,6 +23,8 @@ _BISECTIONS = 20
 
 _heights: WeakKeyDictionary[FocalTerrain, dict[str, Any]] = WeakKeyDictionary()
 """Downs of terrains by device, brought there once."""
+
+_here = threading.local()
 
 _LEVEL = 1.0e-9
 """Sine of the angle with a plane below which a ray runs along it."""
@@ -255,6 +259,30 @@ def focal_points(
     terrain, heights = place_terrain(surface, centre, device)
     launch(_terrain_points, size, [view.width, eye, terrain, heights, hits], device)
     return hits
+
+
+def held_points(view: VirtualCamera, surface: FocalSurface, device: Any) -> Any:
+    """Return focal points in memory that the next call in this thread writes over.
+
+    On the CPU those of a terrain, which take longer than an integral, are not found again while the
+    same are asked for. A captured CUDA graph finds them anew: it is replayed after anything.
+
+    Args:
+        view: See `focal_points`.
+        surface: See `focal_points`.
+        device: Warp device.
+    """
+    size = view.width * view.height
+    points = scratch("points", size, wp.vec4, device)
+    asked = None
+    if in_vectors(device) and isinstance(surface, FocalTerrain):
+        pose = view.world_from_camera.tobytes()
+        asked = (view.camera, pose, view.gsd_m, view.size, surface, int(points.ptr))
+    if asked is None or getattr(_here, "asked", None) != asked:
+        _here.asked = None
+        focal_points(view, surface, out=points, device=device)
+        _here.asked = asked
+    return points
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,9 +31,10 @@ from hsvaos.live.result import LiveResult
 from hsvaos.live.ring import Format
 from hsvaos.masking import Masks, levelled, weigh_rarity
 from hsvaos.photos import Photos
+from hsvaos.relief.find import find_relief, wants_relief
 from hsvaos.rendering import Integrators, Renderer, evidence_integrators, make_integrators
 from hsvaos.settings import Settings
-from hsvaos.surface import FocalSurface
+from hsvaos.surface import FocalPlane, FocalSurface
 from hsvaos.viewing import photo_sampling
 
 _MOST_SEARCHES = 1000
@@ -165,8 +166,8 @@ class SearchThread(LookThread):
         frames = tuple(Frame(str(one), Path(), asked.poses[one]) for one in numbers)
         flight = Flight("live", self._format.camera, frames)
         photos = Photos(flight, self._images[:count], self._valid, ())
-        by = self._integrators(photos, asked.surface, fresh)
-        renderer = Renderer(by, self._settings, asked.surface, self._finder)
+        by, surface = self._integrators(photos, asked.surface, fresh)
+        renderer = Renderer(by, self._settings, surface, self._finder)
         return renderer.render("live", asked.view)[1]
 
     def _bring(self, slots: dict[int, int]) -> list[int]:
@@ -180,13 +181,16 @@ class SearchThread(LookThread):
             self._searched[place] = number
         return places
 
-    def _integrators(self, photos: Photos, surface: FocalSurface, fresh: list[int]) -> Integrators:
+    def _integrators(
+        self, photos: Photos, surface: FocalSurface, fresh: list[int]
+    ) -> tuple[Integrators, FocalSurface]:
+        """Return the integrators of photos, and the surface with the relief that they show."""
         gains = levelled(photos, self._settings)
         rarity, model = weigh_rarity(photos, self._settings.mask, gains)
         masks = Masks.of_rarity(gains, rarity, model)
         by = make_integrators(photos, masks, "rarity")
         if self._net is None:
-            return by
+            return by, surface
         inputs = FragmentInput(photos.images, model, gains)
         count, gsd_m = len(photos.flight), photo_sampling(photos.flight, surface)
         if self._said is None or not _alike(gsd_m, self._gsd_m):  # all that was said is of no use
@@ -199,9 +203,11 @@ class SearchThread(LookThread):
                 self._said = PhotoEvidence(np.zeros(shape, np.uint16), np.zeros(shape, np.uint8))
             self._said.people[place], self._said.ground[place] = people, ground
         if self._said is None:
-            return by
+            return by, surface
         said = PhotoEvidence(self._said.people[:count], self._said.ground[:count])
-        return by.with_evidence(evidence_integrators(photos, said, gains))
+        if isinstance(surface, FocalPlane) and wants_relief(self._settings.focus):
+            surface = find_relief(photos, said.ground, gains, surface)[0] or surface
+        return by.with_evidence(evidence_integrators(photos, said, gains)), surface
 
 
 def _alike(one: float | None, other: float | None) -> bool:

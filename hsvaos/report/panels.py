@@ -12,7 +12,9 @@ from hsvaos.report import figures
 from hsvaos.report.draw import draw_scale_and_north
 from hsvaos.report.figures import Float, Rgba
 from hsvaos.report.ground import photo_in_view
+from hsvaos.report.terrain import height_picture
 from hsvaos.result import Result
+from hsvaos.surface import FocalTerrain
 
 LONGEST_PX = 1280
 """Longest side of a picture embedded in the page: enough to zoom, small enough to send."""
@@ -181,7 +183,16 @@ def _map_panels(result: Result) -> list[Panel]:
     )
     picture = _dressed(result, picture)
     legend = ("viridis", "0 photos", f"{high:.3g} photos")
-    return [*panels, Panel("footprint", "Footprint", text, picture, True, legend)]
+    panels.append(Panel("footprint", "Footprint", text, picture, True, legend))
+    if isinstance(result.surface, FocalTerrain):
+        picture, low, high = height_picture(result.surface)
+        text = (
+            "How high the ground is on which the pictures above are focused; a map, north up. "
+            "Where next to no photo shows the ground its height is a guess from beside it."
+        )
+        legend = ("viridis", f"{low:.1f} m", f"{high:.1f} m")
+        panels.append(Panel("terrain", "Height of the ground", text, picture, False, legend))
+    return panels
 
 
 def _painted(values: Float, valid: NDArray[np.bool_], low: float, high: float, name: str) -> Rgba:

@@ -15,7 +15,9 @@ from hsvaos.report.draw import draw_boxes, draw_scale_and_north, with_legend
 from hsvaos.report.finds import detections_geojson, detections_json
 from hsvaos.report.ground import surface_down
 from hsvaos.report.html import report_html
+from hsvaos.report.terrain import height_picture, write_terrain
 from hsvaos.result import Result
+from hsvaos.surface import FocalTerrain
 
 FILE_NAMES = (
     "integral.png",
@@ -25,6 +27,8 @@ FILE_NAMES = (
     "fragment_map.png",
     "ground.png",
     "footprint.png",
+    "terrain.png",
+    "terrain.npz",
     "detections.json",
     "detections.geojson",
     "settings.toml",
@@ -63,6 +67,8 @@ def write_result(
     folder = check_writable(folder, FILE_NAMES)
     written = _write_pictures(result, folder)
     written["integral.npz"] = _write_arrays(result, folder / "integral.npz")
+    if isinstance(result.surface, FocalTerrain):
+        written["terrain.npz"] = write_terrain(result.surface, folder / "terrain.npz")
     texts = {
         "detections.json": detections_json(result),
         "detections.geojson": detections_geojson(result),
@@ -137,6 +143,9 @@ def _write_pictures(result: Result, folder: Path) -> dict[str, Path]:
     if "ground" in main.extra:
         image, rays = main.extra["ground"]
         pictures["ground.png"] = figures.stretch(image, figures.of_ground(rays))
+    if isinstance(result.surface, FocalTerrain):
+        heights, low, high = height_picture(result.surface)
+        pictures["terrain.png"] = with_legend(heights, "viridis", low, high, "height [m]")
     seen = figures.covered(main.footprint if main.rays is None else main.rays)
     for values, name in ((main.rarity_map, "rarity"), (main.fragment_map, "fragment")):
         if values is not None:

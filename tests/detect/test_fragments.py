@@ -18,7 +18,7 @@ from hsvaos.kernels.rarity import rarity_model
 from hsvaos.masking import make_masks
 from hsvaos.photos import Photos, load_photos, with_poses
 from hsvaos.rarity_model import model_from_counts
-from hsvaos.rendering import evidence_integrators, fragment_integrators
+from hsvaos.rendering import evidence_integrators, look_at_photos
 from hsvaos.settings import Settings
 from hsvaos.simulate.forest import ForestSettings
 from hsvaos.simulate.instances import Kind
@@ -149,7 +149,8 @@ def test_evidence_adds_up_where_people_lie():
     flight = with_poses(demo_flight())
     photos = load_photos(flight, device="cpu")
     net = FragmentNet(provider="cpu")
-    made = fragment_integrators(photos, make_masks(photos, Settings()), net)
+    masks = make_masks(photos, Settings())
+    made = evidence_integrators(photos, look_at_photos(photos, masks, net), masks.gains)
     surface = FocalPlane(photos.flight.ground_down_m or 0.0)
     view = ground_grid(photos.flight, surface, 0.05)
     image, rays = (np.asarray(part.numpy()) for part in made.fragments.integrate(view, surface))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -298,3 +300,25 @@ def test_bad_input() -> None:
         integrator.integrate(view, 3.0)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="downs_m"):
         integrator.sweep(view, [])
+
+
+def test_points_of_a_terrain_follow_view_and_surface() -> None:
+    """They are kept while nothing changes, on the CPU; whatever changes is seen."""
+    rng = np.random.default_rng(5)
+    images = rng.integers(0, 255, (3, 24, 32, 3)).astype(np.uint8)
+    poses = np.stack([random_pose(rng, reach=3.0) for _ in range(3)])
+    camera = Camera.from_fov(32, 24, 70.0)
+    integrator = Integrator(camera, images, poses)
+    axis = np.arange(-40.0, 41.0, 2.0)
+    hills = [
+        FocalTerrain.from_arrays(axis, axis, np.sin(axis / k)[:, None] * np.cos(axis / 5.0))
+        for k in (3.0, 6.0)
+    ]
+    views = [VirtualCamera(Camera.from_fov(20, 16, 60.0), poses[k]) for k in (0, 1)]
+    grids = [VirtualCamera.ortho(4.0, -5.0, gsd, 20, 16) for gsd in (0.5, 0.6)]
+    asked = [(view, hill) for view in (*views, *grids) for hill in (*hills, FocalPlane())]
+    alone = [integrator.integrate(*one)[0].copy() for one in asked]
+    for i, j in itertools.product(range(len(asked)), repeat=2):
+        integrator.integrate(*asked[i])
+        np.testing.assert_array_equal(integrator.integrate(*asked[j])[0], alone[j])
+        np.testing.assert_array_equal(integrator.integrate(*asked[j])[0], alone[j])
