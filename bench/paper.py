@@ -152,7 +152,7 @@ def methods(coco: Path | None = None) -> dict[str, Method]:
         "AOS": Method(image("plain"), score, both, True),
         "HSV-AOS": Method(image("hue"), score, both, True),
         "hsvaos": Method(everything(), score, both, True, wide=True, relief=True),
-        "all but relief": Method(everything(), score, wide=True),
+        "hsvaos on a plane": Method(everything(), score, everywhere=True, wide=True),
         "all but surroundings": Method(everything(), score, relief=True),
         "hue, not brightened": Method(image("hue_dark"), score),
         "ground image": Method(image("ground"), score),
@@ -212,8 +212,10 @@ def measure(
         moved = {name: one.at_poses(flight.poses) for name, one in by_name.items()}
         plane = FocalPlane(flight.ground_down_m or 0.0)
         there = replace(photos, flight=flight)
-        relief, _ = find_relief(there, evidence.ground, masks.gains, plane)
-        surfaces = {False: plane, True: relief or plane}
+        surfaces: dict[bool, FocalSurface] = {False: plane}
+        if any(method.relief for method in use.values()):
+            relief, _ = find_relief(there, evidence.ground, masks.gains, plane)
+            surfaces[True] = relief or plane
         for name, result in _measure_track(true, flight, moved, surfaces, use).items():
             yield track, name, result
 
@@ -241,7 +243,7 @@ def _measure_track(
     views = [VirtualCamera(small, flight.poses[k]) for k in chosen]
     wanted = {method.relief: set(_IMAGES) for method in use.values()}
     for method in use.values():
-        if method.wide or method.relief or method.tracks == ("true",):
+        if method.wide or method.relief or not method.everywhere:
             wanted[method.relief] = {*by_name, "coherence", "fragment_coherence"}
     grounds = {
         which: _ground(flight, views, surfaces[which], by_name, names)
@@ -324,10 +326,12 @@ def _shrink(flight: Flight) -> float:
     return min(1.0, height / flight.camera.fx / GSD_M)
 
 
-def run(flights: Path, results: Path, part: int, parts: int, coco: Path | None) -> None:
+def run(
+    flights: Path, results: Path, part: int, parts: int, coco: Path | None, ablate: bool
+) -> None:
     """Measure what is missing."""
     results.mkdir(parents=True, exist_ok=True)
-    known = methods(coco)
+    known = {name: m for name, m in methods(coco).items() if ablate or m.everywhere}
     folders = sorted(p for p in flights.iterdir() if (p / "truth.json").exists())
     folders.sort(key=lambda p: p.name.rsplit("_", 1)[::-1], reverse=True)  # all forests in turn
     ablated = tuple(f"_{seed}" for seed in range(FIRST_SEED, FIRST_SEED + ABLATION_SEEDS))
@@ -409,6 +413,7 @@ def main() -> int:
     running.add_argument("results", type=Path)
     running.add_argument("--part", type=int, default=0)
     running.add_argument("--parts", type=int, default=1)
+    running.add_argument("--no-ablation", action="store_true", help="only what every flight has")
     running.add_argument("--coco", type=Path, help="a network trained on COCO, for the ablation")
     errors = commands.add_parser("poses")
     errors.add_argument("flights", type=Path)
@@ -418,7 +423,9 @@ def main() -> int:
     asked = parser.parse_args()
     if asked.command == "run":
         quiet_start()
-        run(asked.flights, asked.results, asked.part, asked.parts, asked.coco)
+        run(
+            asked.flights, asked.results, asked.part, asked.parts, asked.coco, not asked.no_ablation
+        )
     elif asked.command == "poses":
         pose_errors(asked.flights, asked.results)
     else:
