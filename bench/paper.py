@@ -152,7 +152,7 @@ def methods(coco: Path | None = None) -> dict[str, Method]:
         "AOS": Method(image("plain"), score, both, True),
         "HSV-AOS": Method(image("hue"), score, both, True),
         "hsvaos": Method(everything(), score, both, True, wide=True, relief=True),
-        "hsvaos on a plane": Method(everything(), score, everywhere=True, wide=True),
+        "hsvaos on a plane": Method(everything(), score, wide=True),
         "all but surroundings": Method(everything(), score, relief=True),
         "hue, not brightened": Method(image("hue_dark"), score),
         "ground image": Method(image("ground"), score),
