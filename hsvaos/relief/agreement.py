@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,9 @@ _LONGEST_PX = 512
 
 _MOST_PX = 100_000_000
 """Pixels of all photos together, to which they are shrunk further."""
+
+_AT_ONCE = 9
+"""Planes of a sweep: more would only take memory."""
 
 _WORDS = 65535.0
 
@@ -76,10 +80,7 @@ def measure_agreement(
     shape = (len(planes), size[1], size[0])
     agreed, power = np.empty(shape, np.float32), np.empty(shape, np.float32)
     chance = np.empty(shape[1:], np.float32)
-    out = None
-    for k, plane in enumerate(planes):
-        out = sums.integrate(grid, plane, out=out)
-        image, weight = (part if isinstance(part, np.ndarray) else part.numpy() for part in out)
+    for k, (image, weight) in enumerate(_integrals(sums, grid, planes)):
         mean = image[..., 0] * np.float32(1.0 / _WORDS) - np.float32(MOST)
         square = image[..., 1] * np.float32(MOST**2 / _WORDS)
         above = np.maximum(weight - 1.0, 0.0)
@@ -91,6 +92,19 @@ def measure_agreement(
         if progress is not None:
             progress("finding the relief of the ground", k + 1, len(planes))
     return Agreement(offsets_m, agreed, power, chance, CELL * grid.gsd_m)
+
+
+def _integrals(
+    integrator: Integrator, grid: VirtualCamera, planes: list[FocalPlane]
+) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+    """Yield image and footprint of every plane."""
+    if any(plane.normal[0] or plane.normal[1] for plane in planes):
+        for plane in planes:
+            yield integrator.integrate(grid, plane)
+        return
+    downs = np.array([plane.point[2] for plane in planes])
+    for start in range(0, len(downs), _AT_ONCE):  # level ones share what they read
+        yield from zip(*integrator.sweep(grid, downs[start : start + _AT_ONCE]), strict=True)
 
 
 def _moments(
