@@ -12,14 +12,16 @@ from hsvaos.flight import FlightError
 from hsvaos.report import geotiff
 from hsvaos.report.finds import detections_geojson, detections_json
 from hsvaos.report.write import FILE_NAMES, write_result
+from hsvaos.surface import FocalTerrain
 
 NO_GEO = {"ortho.tif", "ortho_data.tif"}
+TERRAIN = {"terrain.png", "terrain.npz"}
 
 
 def test_folder_holds_what_the_design_says(tmp_path: Path, result_of) -> None:
     result = result_of()
     written = write_result(result, tmp_path / "out")
-    assert set(written) == set(FILE_NAMES) - NO_GEO
+    assert set(written) == set(FILE_NAMES) - NO_GEO - TERRAIN  # it is on a plane
     assert {p.name for p in (tmp_path / "out").iterdir()} == set(written)
     main = result.main
     png = cv2.imread(str(written["integral.png"]), cv2.IMREAD_UNCHANGED)
@@ -55,10 +57,14 @@ def test_second_run_leaves_nothing_of_the_first(tmp_path: Path, result_of) -> No
     pytest.importorskip("rasterio")
     pytest.importorskip("pyproj")
     (tmp_path / "mine.txt").write_text("kept")
-    assert set(write_result(result_of(ortho=True), tmp_path)) == set(FILE_NAMES)
+    hills = FocalTerrain(-50.0, -50.0, 4.0, np.random.default_rng(1).normal(size=(26, 26)))
+    first = replace(result_of(ortho=True), surface=hills)
+    assert set(write_result(first, tmp_path)) == set(FILE_NAMES)
     written = write_result(result_of(rarity=False), tmp_path)
     assert {p.name for p in tmp_path.iterdir()} == {*written, "mine.txt"}
-    assert not {"rarity_map.png", "fragment_map.png", "ground.png", *NO_GEO} & set(written)
+    assert not {"rarity_map.png", "fragment_map.png", "ground.png", *NO_GEO, *TERRAIN} & set(
+        written
+    )
 
 
 def test_crash_leaves_the_earlier_files_whole(tmp_path: Path, result_of) -> None:

@@ -197,7 +197,8 @@ def test_finds_are_those_of_a_run() -> None:
         session.finds(asked, lambda: len(looked_at) < 2, look)
     finds = session.finds(asked, progress=look)
     assert looked_at == list(range(1, len(session.flight) + 1))  # none of them twice
-    result = hsvaos.run(flight)
+    on_its_plane = hsvaos.Settings().with_values(focus={"relief": False})
+    result = hsvaos.run(flight, on_its_plane)
     assert sorted(f.score for f in finds) == pytest.approx(
         sorted(result.main.detections.scores.tolist())
     )
