@@ -317,8 +317,7 @@ def posed(flight: Flight, folder: Path, track: str) -> Flight:
     if track == "true":
         return flight
     by_name = {row.name: row.world_from_camera for row in read_poses(folder / "poses_ekf.csv")}
-    frames = tuple(replace(f, world_from_camera=by_name[f.name]) for f in flight.frames)
-    return flight.replace(frames=frames)
+    return flight.at_poses([by_name[frame.name] for frame in flight.frames])
 
 
 def _shrink(flight: Flight) -> float:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hsvaos.camera import Camera, VirtualCamera, check_pose
 
@@ -164,6 +164,15 @@ class Flight:
     def replace(self, **changes: Any) -> Flight:
         """Return the flight with some fields changed."""
         return replace(self, **changes)
+
+    def at_poses(self, poses: ArrayLike) -> Flight:
+        """Return the flight with other poses.
+
+        Args:
+            poses: Shape (N, 4, 4), world_from_camera of every frame, world NED [m].
+        """
+        pairs = zip(self.frames, np.asarray(poses, dtype=np.float64), strict=True)
+        return replace(self, frames=tuple(replace(f, world_from_camera=p) for f, p in pairs))
 
     def subset(self, indices: Sequence[int], note: str | None = None) -> Flight:
         """Return the flight with some of its frames only, and a note why."""

@@ -1,7 +1,8 @@
 """Ground maps of training flights: what an integral image shows, in several conditions.
 
 Each flight is integrated onto a north-up grid at the sampling of its photos: with true poses, with
-wrong focus, with poses as a filter leaves them or worse, and from a part of its photos.
+poses as a filter leaves them or worse, and from a part of its photos; on the relief that is found
+with these poses, as `hsvaos.run` does, and now and then on a plane that is out of focus.
 """
 
 from __future__ import annotations
@@ -17,13 +18,14 @@ from numpy.typing import NDArray
 
 import hsvaos
 from hsvaos.camera import VirtualCamera
-from hsvaos.detect.fragments import FragmentNet
+from hsvaos.detect.fragments import FragmentNet, PhotoEvidence
 from hsvaos.kernels.hue_mask import measure_hue
 from hsvaos.kernels.integrate import Integrator
 from hsvaos.kernels.rarity import apply_rarity, rarity_model
-from hsvaos.masking import cut_hues, make_masks
+from hsvaos.masking import Masks, cut_hues, make_masks
 from hsvaos.photos import Photos, load_photos
 from hsvaos.rarity_model import RarityModel
+from hsvaos.relief.find import find_relief
 from hsvaos.rendering import (
     Integrators,
     evidence_integrators,
@@ -32,7 +34,7 @@ from hsvaos.rendering import (
     make_integrators,
 )
 from hsvaos.settings import Settings
-from hsvaos.surface import FocalPlane
+from hsvaos.surface import FocalPlane, FocalSurface
 
 PLANES = {"plain": slice(0, 3), "rarity": slice(3, 6), "hue": slice(6, 9)}
 """Where the three integral images lie in a map; then come rarity map, rays and hue footprint, the
@@ -53,6 +55,10 @@ SEARCH_CONDITIONS = 2
 """Maps of each tuning flight: with the poses of a search, true or as a filter leaves them."""
 
 _BORDER_M = 5.0
+_ON_PLANE = 0.2
+"""Share of the maps of training flights that are on a plane: where a flight's rays do not agree,
+the plane is kept in use too."""
+
 _LEFT_OUT = 0.75
 """Share of the people whose colours are not counted as colours of the flight."""
 
@@ -62,11 +68,13 @@ class Condition:
     """How well a flight is integrated.
 
     Args:
-        focus_m: The focal plane lies this much too low [m].
+        focus_m: The focal plane lies this much too low [m]; where the relief is looked for, about
+            that plane.
         drift_m: Standard deviation of slow position errors, each axis [m].
         noise_m: The same of errors from photo to photo [m].
         turn_deg: Standard deviation of attitude errors, each axis [deg].
         share: Share of the photos used.
+        relief: Whether the relief of the ground is looked for.
     """
 
     focus_m: float = 0.0
@@ -74,6 +82,7 @@ class Condition:
     noise_m: float = 0.0
     turn_deg: float = 0.0
     share: float = 1.0
+    relief: bool = True
 
 
 def conditions(rng: np.random.Generator) -> list[Condition]:
@@ -82,7 +91,7 @@ def conditions(rng: np.random.Generator) -> list[Condition]:
     Args:
         rng: Draws them.
     """
-    return [
+    drawn = [
         Condition(focus_m=float(rng.normal(0.0, 0.12))),
         Condition(
             focus_m=float(rng.normal(0.0, 0.2)),
@@ -102,6 +111,7 @@ def conditions(rng: np.random.Generator) -> list[Condition]:
             share=float(rng.uniform(0.3, 0.75)),
         ),
     ]
+    return [replace(one, relief=bool(rng.uniform() >= _ON_PLANE)) for one in drawn]
 
 
 def disturbed(
@@ -141,15 +151,21 @@ def make_maps(
     Args:
         folder: The flight.
         target: Where the maps go: `NAME_0.npz`, ...
-        search: Whether the flight is a search: fewer conditions, and rarity as it is.
-        fragments: Looks for pieces of people in the photos; None leaves that layer unknown.
+        search: Whether the flight is a search: fewer conditions, rarity as it is, and always on
+            the relief.
+        fragments: Looks for pieces of people in the photos, and for the ground; None leaves these
+            layers unknown, and the maps on planes.
     """
     flight = hsvaos.open_flight(folder)
     truth, rng = flight_truth(folder)
     photos = load_photos(flight, 1.0, "cpu", None)
     people = outlines(truth)
     left_out = [] if search else left_out_of(truth, rng)
-    ours, papers = _integrators(photos, left_out, fragments)
+    masks = _masks(photos, left_out)
+    said = None
+    if fragments is not None and photos.is_colour:
+        said = look_at_photos(photos, masks, fragments)
+    ours, papers = _integrators(photos, masks, said)
     reach = np.abs(flight.poses[:, :2, 3]).max(axis=0) + _BORDER_M
     gsd = float(np.median(-flight.poses[:, 2, 3])) / flight.camera.fx
     width, height = (int(2.0 * side / gsd) for side in reach[::-1])
@@ -165,7 +181,11 @@ def make_maps(
             chosen = np.sort(rng.permutation(chosen)[:kept])
         poses = disturbed(flight.poses, condition, rng)
         by = ours if number % 2 == 0 else papers
-        layers = _layers(by, poses, view, FocalPlane(condition.focus_m), chosen)
+        surface: FocalSurface = FocalPlane(condition.focus_m)
+        if said is not None and (search or condition.relief):
+            there = replace(photos, flight=flight.at_poses(poses))
+            surface = _on_relief(there, said, masks, condition.focus_m, chosen)
+        layers = _layers(by, poses, view, surface, chosen)
         part = path.with_suffix(".part.npz")
         np.savez(
             part,
@@ -177,6 +197,21 @@ def make_maps(
             fragments=ours.fragments is not None,
         )
         part.replace(path)
+
+
+def _on_relief(
+    photos: Photos,
+    said: PhotoEvidence,
+    masks: Masks,
+    focus_m: float,
+    chosen: NDArray[np.int64],
+) -> FocalSurface:
+    """Return the relief that chosen photos show about a plane, or the plane."""
+    ground = np.zeros_like(said.ground)
+    ground[chosen] = said.ground[chosen]
+    plane = FocalPlane(focus_m)
+    found, _ = find_relief(photos, ground, masks.gains, plane)
+    return found or plane
 
 
 def _as_halves(layers: NDArray[np.float32]) -> NDArray[np.float16]:
@@ -219,20 +254,24 @@ def left_out_of(truth: dict[str, Any], rng: np.random.Generator) -> list[NDArray
     return [outline for outline in outlines(truth) if rng.uniform() < _LEFT_OUT]
 
 
+def _masks(photos: Photos, left_out: list[NDArray[np.float64]]) -> Masks:
+    """Return the weights of photos; the colours within outlines do not count as the flight's."""
+    masks = make_masks(photos, Settings())
+    if not left_out:
+        return masks
+    model = rarity_without(photos, left_out, masks.gains)
+    rarity = apply_rarity(photos.images, model, dtype="float32", gains=masks.gains)
+    return replace(masks, rarity=rarity, rarity_model=model)
+
+
 def _integrators(
-    photos: Photos, left_out: list[NDArray[np.float64]], fragments: FragmentNet | None
+    photos: Photos, masks: Masks, said: PhotoEvidence | None
 ) -> tuple[Integrators, Integrators]:
     """Return integrators with our hue cut and with the paper's, the same else."""
-    masks = make_masks(photos, Settings())
-    if left_out:
-        model = rarity_without(photos, left_out, masks.gains)
-        rarity = apply_rarity(photos.images, model, dtype="float32", gains=masks.gains)
-        masks = replace(masks, rarity=rarity, rarity_model=model)
     ours = make_integrators(photos, masks, "rarity")
     if not photos.is_colour:
         return ours, ours
-    if fragments is not None:
-        said = look_at_photos(photos, masks, fragments)
+    if said is not None:
         ours = ours.with_evidence(evidence_integrators(photos, said, masks.gains))
     mask, gains = Settings().with_values(mask={"statistics": "linear"}).mask, masks.gains
     how = (mask.sigmas, mask.statistics, mask.scope)
@@ -276,15 +315,15 @@ def _layers(
     by: Integrators,
     poses: NDArray[np.float64],
     view: VirtualCamera,
-    plane: FocalPlane,
+    surface: FocalSurface,
     chosen: NDArray[np.int64],
 ) -> NDArray[np.float32]:
     def integral(integrator: Integrator) -> tuple[Any, Any]:
-        image, footprint = integrator.at_poses(poses).integrate(view, plane, frames=chosen)
+        image, footprint = integrator.at_poses(poses).integrate(view, surface, frames=chosen)
         return np.asarray(image.numpy()), np.asarray(footprint.numpy())
 
     def agreed(integrator: Integrator) -> tuple[Any, Any]:
-        image, coherence = integrator.at_poses(poses).coherence(view, plane, frames=chosen)
+        image, coherence = integrator.at_poses(poses).coherence(view, surface, frames=chosen)
         return np.moveaxis(image.numpy(), 2, 0), coherence.numpy()  # grey fills all three
 
     layers = np.zeros((LAYERS, view.height, view.width), dtype=np.float32)

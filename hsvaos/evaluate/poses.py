@@ -77,15 +77,11 @@ def _along(flight: Flight, path: Path) -> Flight:
     pose = np.tile(np.eye(4), (len(inside), 1, 1))
     pose[:, :3, :3] = attitude.matrix(attitude.multiply(turn, mounting.body_from_camera_q))
     pose[:, :3, 3] = place + attitude.rotate(turn, arm)
-    frames = tuple(
-        replace(flight.frames[k], world_from_camera=one)
-        for k, one in zip(inside, pose, strict=True)
-    )
     notes = flight.notes
     if len(inside) < len(times):
         left = len(times) - len(inside)
         notes = (*notes, f"{left} of {len(times)} photos left out: outside the trajectory {path}")
-    return flight.replace(frames=frames, notes=notes)
+    return flight.subset(inside.tolist()).at_poses(pose).replace(notes=notes)
 
 
 def own_file(path: Path, file: Path, alone: bool, name: str) -> Path:
