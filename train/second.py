@@ -12,6 +12,7 @@ import argparse
 import sys
 from collections.abc import Callable
 from functools import partial
+from itertools import islice
 from pathlib import Path
 
 from hsvaos.detect.fragments import PACKAGED_FRAGMENTS
@@ -21,6 +22,9 @@ from hsvaos.kernels.device import quiet_start
 from train.flights import FIRST_TRAINING_SEED, FIRST_TUNING_SEED, flight_settings
 from train.looks import Look, make_look, read_look
 from train.stages import each, flight_stage, maps_stage, seeds_of
+
+_FOR_MOMENTS = 8
+"""Batches on which the layers of a network that is brought back are measured."""
 
 
 def _looks(maps: Path, looks: Path, first: Path, as_found: bool, seed: int) -> str:
@@ -44,9 +48,15 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--rate", type=float, default=2e-3, help="highest learning rate")
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2], help="one a network")
+    parser.add_argument("--start-from", type=Path, help="a second look to be trained further")
+    parser.add_argument(
+        "--keep", type=float, default=0.0, help="share of its weights that stays as it was"
+    )
     asked = parser.parse_args()
     if not FIRST_TRAINING_SEED <= asked.first <= FIRST_TUNING_SEED - asked.flights:
         parser.error(f"--first: expected {FIRST_TRAINING_SEED} or more, got {asked.first}")
+    if not 0.0 <= asked.keep < 1.0 or (asked.keep and asked.start_from is None):
+        parser.error(f"--keep: expected 0 to 1, with --start-from, got {asked.keep:g}")
     seeds = [
         seed
         for seed in range(asked.first, asked.first + asked.flights)
@@ -100,11 +110,16 @@ def train(asked: argparse.Namespace, looks: Path, tuning: Path) -> int:
         tuning: Folder of what is judged by.
     """
     from train.judge import figures_of
-    from train.second_fit import fit_second
+    from train.second_fit import Candidates, fit_second
     from train.second_judge import matched_again, threshold_shift
-    from train.second_net import MeanOfNets, export_second
+    from train.second_net import MeanOfNets, SecondNet, export_second
+    from train.warm import blended_second, unfolded_seconds
 
     held_out = read_looks(tuning)
+    begun: list[SecondNet | None] = [None] * len(asked.seeds)
+    if asked.start_from is not None:
+        some = islice(Candidates(look_paths(looks), seed=0), _FOR_MOMENTS)
+        begun = list(unfolded_seconds(asked.start_from, [batch[:2] for batch in some]))
     nets = [
         fit_second(
             look_paths(looks),
@@ -114,9 +129,12 @@ def train(asked: argparse.Namespace, looks: Path, tuning: Path) -> int:
             rate=asked.rate,
             workers=max(1, asked.workers - 1),
             tune=lambda mean: figures_of(matched_again(mean, held_out)),
+            start=start,
         )
-        for seed in asked.seeds
+        for seed, start in zip(asked.seeds, begun, strict=True)
     ]
+    if asked.keep:
+        nets = [blended_second(net, asked.start_from, k, asked.keep) for k, net in enumerate(nets)]
     net = MeanOfNets(nets)
     matches = matched_again(net, held_out)
     shift = threshold_shift(matches, Detector(asked.person.read_bytes()).score)
@@ -127,6 +145,8 @@ def train(asked: argparse.Namespace, looks: Path, tuning: Path) -> int:
         "steps": asked.steps,
         "seeds": asked.seeds,
         "first": asked.person.name,
+        "started_from": asked.start_from.name if asked.start_from else "new weights",
+        "kept_of_it": asked.keep,
         "tuning": figures_of(matches),
         "shift": round(shift, 4),
     }

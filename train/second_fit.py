@@ -154,6 +154,7 @@ def fit_second(
     rate: float = 2e-3,
     tune: Any = None,
     tune_every: int = 500,
+    start: SecondNet | None = None,
 ) -> SecondNet:
     """Train on candidates; goes on where it was stopped.
 
@@ -166,10 +167,11 @@ def fit_second(
         rate: Highest learning rate.
         tune: Called with the averaged network; returns figures for the curve.
         tune_every: Steps between such calls.
+        start: A network whose training goes on, changed; by default a new one.
     """
     torch.manual_seed(seed)
     out.mkdir(parents=True, exist_ok=True)
-    net, mean = SecondNet(), SecondNet()
+    net, mean = start or SecondNet(), SecondNet()
     net = net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     mean.load_state_dict(net.state_dict())
     optimizer = torch.optim.AdamW(net.parameters(), lr=rate, weight_decay=1e-2)

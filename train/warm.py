@@ -7,7 +7,7 @@ so that the network gives the same in training and in use as the file it came fr
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import onnx
@@ -16,6 +16,11 @@ from onnx import numpy_helper
 from torch import Tensor, nn
 
 from train.net import PersonNet
+from train.second_net import SecondNet
+
+Layer = nn.Conv2d | nn.Linear
+Stored = list[tuple[Tensor, Tensor]]
+"""Weights and biases of layers, in order."""
 
 
 def unfolded(path: Path, batches: Iterable[Tensor]) -> PersonNet:
@@ -31,26 +36,51 @@ def unfolded(path: Path, batches: Iterable[Tensor]) -> PersonNet:
         ValueError: If the file holds another network.
     """
     net = PersonNet().eval()
+    _unfold(net, _fitting(path, net), ((batch,) for batch in batches))
+    return net
+
+
+def unfolded_seconds(path: Path, batches: Sequence[tuple[Tensor, Tensor]]) -> list[SecondNet]:
+    """Return the networks of an exported second look, ready to be trained further.
+
+    Args:
+        path: Written by `train.second_net.export_second`.
+        batches: Patches (B, 26, side, side) and facts (B, 3) on which the layers' means and
+            deviations are measured.
+
+    Raises:
+        ValueError: If the file holds other networks.
+    """
+    stored, found = _stored(path), []
+    count = len(_layers(SecondNet()))
+    for start in range(0, max(len(stored), 1), count):
+        net = SecondNet().eval()
+        _unfold(net, _checked(path, net, stored[start : start + count]), batches)
+        found.append(net)
+    return found
+
+
+def _unfold(net: nn.Module, stored: Stored, batches: Iterable[tuple[Tensor, ...]]) -> None:
     layers = _layers(net)
-    stored = _fitting(path, net)
     factors: list[Tensor] = []
     with torch.no_grad():
-        for (conv, norm), (weight, bias) in zip(layers, stored, strict=True):
-            # filters of length 1, so that a learning rate means the same for all
-            length = weight.flatten(1).norm(dim=1) if norm is not None else torch.ones(len(weight))
-            factor = torch.where(length > 1e-6, 1.0 / length.clamp(min=1e-6), 1.0)
-            conv.weight.copy_(weight * factor[:, None, None, None])
-            factors.append(factor)
+        for (layer, norm), (weight, bias) in zip(layers, stored, strict=True):
             if norm is None:
-                conv.bias.copy_(bias)  # type: ignore[union-attr]
-            else:
-                _normalise(norm, torch.zeros_like(bias), torch.ones_like(bias), factor, bias)
-    moments = _measured(net, [conv for conv, norm in layers if norm is not None], batches)
+                layer.weight.copy_(weight)
+                layer.bias.copy_(bias)
+                factors.append(torch.ones(len(weight)))
+                continue
+            # filters of length 1, so that a learning rate means the same for all
+            length = weight.flatten(1).norm(dim=1)
+            factor = torch.where(length > 1e-6, 1.0 / length.clamp(min=1e-6), 1.0)
+            layer.weight.copy_(weight * factor[:, None, None, None])
+            factors.append(factor)
+            _normalise(norm, torch.zeros_like(bias), torch.ones_like(bias), factor, bias)
+    moments = _measured(net, [layer for layer, norm in layers if norm is not None], batches)
     with torch.no_grad():
-        for (conv, norm), (_, bias), factor in zip(layers, stored, factors, strict=True):
+        for (layer, norm), (_, bias), factor in zip(layers, stored, factors, strict=True):
             if norm is not None:
-                _normalise(norm, *moments[conv], factor, bias)
-    return net
+                _normalise(norm, *moments[layer], factor, bias)
 
 
 def blended(net: PersonNet, path: Path, share: float) -> PersonNet:
@@ -71,41 +101,68 @@ def blended(net: PersonNet, path: Path, share: float) -> PersonNet:
         ValueError: If the file holds another network.
     """
     mixed = PersonNet().eval()
-    stored = _fitting(path, mixed)
-    with torch.no_grad():
-        for (conv, norm), own, old in zip(_layers(mixed), _folded(net), stored, strict=True):
-            weight, bias = (
-                torch.lerp(new, before, share) for new, before in zip(own, old, strict=True)
-            )
-            conv.weight.copy_(weight)
-            if norm is None:
-                conv.bias.copy_(bias)  # type: ignore[union-attr]
-            else:
-                one = torch.ones_like(bias)
-                _normalise(norm, torch.zeros_like(bias), one - norm.eps, one, bias)
+    _blend(mixed, net, _fitting(path, mixed), share)
     return mixed
 
 
-def _folded(net: PersonNet) -> list[tuple[Tensor, Tensor]]:
-    """Return weights and biases of the convolutions with their normalisations folded in."""
-    found = []
-    for conv, norm in _layers(net):
+def blended_second(net: SecondNet, path: Path, index: int, share: float) -> SecondNet:
+    """Return what `blended` does of one of the networks of a second look.
+
+    Args:
+        net: Trained further from the file; not changed.
+        path: The file.
+        index: Which of its networks.
+        share: Of the file's weights, 0 to 1.
+
+    Raises:
+        ValueError: If the file holds other networks.
+    """
+    mixed = SecondNet().eval()
+    count = len(_layers(mixed))
+    stored = _stored(path)[index * count : (index + 1) * count]
+    _blend(mixed, net, _checked(path, mixed, stored), share)
+    return mixed
+
+
+def _blend(mixed: nn.Module, net: nn.Module, stored: Stored, share: float) -> None:
+    with torch.no_grad():
+        for (layer, norm), own, old in zip(_layers(mixed), _folded(net), stored, strict=True):
+            weight, bias = (
+                torch.lerp(new, before, share) for new, before in zip(own, old, strict=True)
+            )
+            layer.weight.copy_(weight)
+            if norm is None:
+                layer.bias.copy_(bias)
+            else:
+                one = torch.ones_like(bias)
+                _normalise(norm, torch.zeros_like(bias), one - norm.eps, one, bias)
+
+
+def _folded(net: nn.Module) -> Stored:
+    """Return weights and biases of the layers with their normalisations folded in."""
+    found: Stored = []
+    for layer, norm in _layers(net):
         if norm is None:
-            found.append((conv.weight, conv.bias))
+            found.append((layer.weight, layer.bias))
             continue
         factor = norm.weight / torch.sqrt(norm.running_var + norm.eps)  # type: ignore[operator]
         bias = norm.bias - norm.running_mean * factor  # type: ignore[operator]
-        found.append((conv.weight * factor[:, None, None, None], bias))
-    return found  # type: ignore[return-value]
+        found.append((layer.weight * factor[:, None, None, None], bias))
+    return found
 
 
-def _fitting(path: Path, net: PersonNet) -> list[tuple[Tensor, Tensor]]:
-    """Return the convolutions of a file, which must be those of the network."""
+def _fitting(path: Path, net: PersonNet) -> Stored:
+    """Return the layers of a file, which must be those of the network but for its channels."""
     stored = _stored(path)
-    stored[0] = _widened(stored[0][0], net.channels), stored[0][1]
-    shapes = [tuple(conv.weight.shape) for conv, _ in _layers(net)]
+    if stored and stored[0][0].ndim == 4:
+        stored[0] = _widened(stored[0][0], net.channels), stored[0][1]
+    return _checked(path, net, stored)
+
+
+def _checked(path: Path, net: nn.Module, stored: Stored) -> Stored:
+    shapes = [tuple(layer.weight.shape) for layer, _ in _layers(net)]
     if [tuple(weight.shape) for weight, _ in stored] != shapes:
-        raise ValueError(f"{path}: expected the convolutions {shapes} of train.net")
+        raise ValueError(f"{path}: expected the layers {shapes} of {type(net).__name__}")
     return stored
 
 
@@ -124,18 +181,18 @@ def _normalise(
     norm.bias.copy_(bias + mean / factor)
 
 
-def _layers(net: PersonNet) -> list[tuple[nn.Conv2d, nn.BatchNorm2d | None]]:
-    """Return convolutions in order, each with the normalisation that follows it."""
-    found: list[tuple[nn.Conv2d, nn.BatchNorm2d | None]] = []
+def _layers(net: nn.Module) -> list[tuple[Layer, nn.BatchNorm2d | None]]:
+    """Return the layers of weights in order, each with the normalisation that follows it."""
+    found: list[tuple[Layer, nn.BatchNorm2d | None]] = []
     for module in net.modules():
-        if isinstance(module, nn.Conv2d):
+        if isinstance(module, nn.Conv2d | nn.Linear):
             found.append((module, None))
         elif isinstance(module, nn.BatchNorm2d):
             found[-1] = (found[-1][0], module)
     return found
 
 
-def _stored(path: Path) -> list[tuple[Tensor, Tensor]]:
+def _stored(path: Path) -> Stored:
     graph = onnx.load(str(path)).graph
     arrays = {entry.name: numpy_helper.to_array(entry) for entry in graph.initializer}
     for node in graph.node:  # equal arrays are stored once
@@ -144,13 +201,13 @@ def _stored(path: Path) -> list[tuple[Tensor, Tensor]]:
     return [
         (torch.tensor(arrays[node.input[1]]), torch.tensor(arrays[node.input[2]]))
         for node in graph.node
-        if node.op_type == "Conv"
+        if node.op_type in ("Conv", "Gemm")
     ]
 
 
 def _measured(
-    net: PersonNet, convolutions: list[nn.Conv2d], batches: Iterable[Tensor]
-) -> dict[nn.Conv2d, tuple[Tensor, Tensor]]:
+    net: nn.Module, convolutions: list[Layer], batches: Iterable[tuple[Tensor, ...]]
+) -> dict[Layer, tuple[Tensor, Tensor]]:
     """Return mean and variance of what each convolution gives, by channel."""
     sums: dict[nn.Module, list[Tensor]] = {conv: [] for conv in convolutions}
 
@@ -160,7 +217,7 @@ def _measured(
     hooks = [conv.register_forward_hook(note) for conv in convolutions]
     with torch.no_grad():
         for batch in batches:
-            net(batch)
+            net(*batch)
     for hook in hooks:
         hook.remove()
     found = {}

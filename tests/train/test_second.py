@@ -27,6 +27,7 @@ from train.second_net import (  # noqa: E402
     SecondNet,
     export_second,
 )
+from train.warm import blended_second, unfolded_seconds  # noqa: E402
 
 
 def first_network(path):
@@ -158,6 +159,62 @@ def test_two_networks_are_asked_together():
     assert not torch.allclose(a, b)
     torch.testing.assert_close(logits, 0.5 * (a + b))
     torch.testing.assert_close(shifts, 0.5 * (to_a + to_b))
+
+
+def _ready(seed):
+    """Two networks with means and deviations of their own, and what they were shown."""
+    torch.manual_seed(seed)
+    nets = [SecondNet(), SecondNet()]
+    views, facts = torch.randn(24, len(CHANNELS) + 1, LOOK_PX, LOOK_PX), torch.randn(24, 3)
+    with torch.no_grad():
+        for net in nets:
+            for _ in range(3):
+                net(views, facts)
+            for norm in (m for m in net.modules() if isinstance(m, torch.nn.BatchNorm2d)):
+                norm.weight.uniform_(0.5, 1.5)
+                norm.bias.normal_(0.0, 0.3)
+            for layer in (net.score, net.box):
+                torch.nn.init.normal_(layer.weight)
+            net.eval()
+    return nets, (views, facts)
+
+
+def test_exported_networks_come_back_as_they_were_and_can_be_trained(tmp_path):
+    nets, shown = _ready(6)
+    export_second(MeanOfNets(nets), tmp_path / "second.onnx", 0.7, {})
+    back = unfolded_seconds(tmp_path / "second.onnx", [shown])
+    assert len(back) == 2
+    with torch.no_grad():
+        for net, again in zip(nets, back, strict=True):
+            for have, want in zip(again(*shown), net(*shown), strict=True):
+                torch.testing.assert_close(have, want, rtol=1e-3, atol=1e-3)
+            again.dropout.p = 0.0
+            resting, moving = again(*shown)[0], again.train()(*shown)[0]
+            assert float((resting - moving).abs().max()) < 0.05 * float(resting.std())
+
+
+@pytest.mark.parametrize("index", [0, 1])
+def test_a_second_look_lies_between_what_it_was_and_what_it_became(tmp_path, index):
+    before, shown = _ready(7)
+    after = _ready(8)[0][index]
+    export_second(MeanOfNets(before), tmp_path / "second.onnx", 0.0, {})
+    mixed = {s: blended_second(after, tmp_path / "second.onnx", index, s) for s in (0.0, 0.4, 1.0)}
+    with torch.no_grad():
+        found = {share: net(*shown)[0] for share, net in mixed.items()}
+        torch.testing.assert_close(found[0.0], after(*shown)[0], rtol=1e-3, atol=1e-3)
+        torch.testing.assert_close(found[1.0], before[index](*shown)[0], rtol=1e-3, atol=1e-3)
+        assert not torch.allclose(found[0.4], found[1.0], rtol=1e-2, atol=1e-2)
+    bias = torch.lerp(after.score.bias, before[index].score.bias, 0.4)
+    torch.testing.assert_close(mixed[0.4].score.bias, bias)
+
+
+def test_a_file_of_other_networks_is_no_second_look(tmp_path):
+    from train.export import export
+    from train.net import PersonNet
+
+    export(PersonNet(), tmp_path / "person.onnx", 0.5, {})
+    with pytest.raises(ValueError, match=r"expected the layers .* of SecondNet"):
+        unfolded_seconds(tmp_path / "person.onnx", [])
 
 
 def test_the_threshold_leaves_room_for_false_finds_that_did_not_come():
