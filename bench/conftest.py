@@ -22,7 +22,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         return
     import warp as wp
 
-    races = dict(metafunc.module.RACES)
+    races = dict(getattr(metafunc.module, "RACES", {}))
     params: list[Any] = []
     for race, make in getattr(metafunc.module, "GPU_RACES", {}).items():
         if wp.is_cuda_available():
