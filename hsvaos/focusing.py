@@ -51,9 +51,7 @@ def choose_surface(
     """
     notes: list[str] = []
     surface: FocalSurface
-    terrain = settings.terrain or (flight.terrain if settings.down_m is None else None)
-    if settings.autofocus:
-        terrain = None
+    terrain = chosen_terrain(flight, settings)
     if settings.down_m is not None:
         surface = tilted_plane(flight, settings.down_m, settings)
     elif terrain is not None:
@@ -70,6 +68,30 @@ def choose_surface(
         notes.append(note)
     notes += check_above(flight, surface)
     return surface, tuple(notes)
+
+
+def chosen_terrain(flight: Flight, settings: FocusSettings) -> str | Path | None:
+    """Return the terrain file that a run focuses on; None where that is a plane.
+
+    Args:
+        flight: The flight.
+        settings: What is asked for.
+
+    Raises:
+        FlightError: If relief is asked for, and the flight brings a terrain of its own.
+    """
+    if settings.autofocus:
+        return None
+    if settings.terrain is not None:
+        return settings.terrain
+    if settings.down_m is not None or flight.terrain is None:
+        return None
+    if settings.relief:
+        raise FlightError(
+            f"{flight.source}: relief is found about a plane, but the flight brings its terrain "
+            f"({flight.terrain}): expected --focus-down, --autofocus or no --relief"
+        )
+    return flight.terrain
 
 
 def tilted_plane(flight: Flight, down_m: float, settings: FocusSettings) -> FocalPlane:

@@ -10,7 +10,7 @@ from hsvaos.detect.fragments import FragmentNet, PhotoEvidence
 from hsvaos.detect.locate import merge_views
 from hsvaos.finding import make_finder
 from hsvaos.flight import Flight, FlightError
-from hsvaos.focusing import choose_surface, without_parallax
+from hsvaos.focusing import choose_surface, chosen_terrain, without_parallax
 from hsvaos.kernels.device import resolve_device
 from hsvaos.masking import Masks, as_bytes, make_masks
 from hsvaos.photos import Photos, Progress, load_photos, with_poses
@@ -60,6 +60,7 @@ def run(
     where = resolve_device(device)
     clock = _Clock()
 
+    chosen_terrain(flight, settings.focus)  # what contradicts itself is told before any work
     flight = with_poses(flight, progress)
     clock("navigate")
     photos = load_photos(flight, settings.photos.scale, where, progress)

@@ -11,10 +11,12 @@ import hsvaos
 from hsvaos import FlightError, FocalPlane, FocalTerrain, Settings
 from hsvaos.demo import demo_flight
 from hsvaos.flight import Flight
+from hsvaos.focusing import chosen_terrain
 from hsvaos.formats.native_write import write_native
 from hsvaos.photos import with_poses
 from hsvaos.report.terrain import height_picture
 from hsvaos.report.write import write_result
+from hsvaos.settings import FocusSettings
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +70,17 @@ def test_who_names_a_plane_gets_it(flight: Flight) -> None:
 def test_what_makes_no_sense() -> None:
     with pytest.raises(ValueError, match="no terrain beside it"):
         Settings().with_values(focus={"relief": True, "terrain": "ground.npz"})
+
+
+def test_relief_is_not_found_about_a_terrain(flight: Flight, tmp_path: Path) -> None:
+    (tmp_path / "own.npz").touch()  # is not even opened
+    bound = flight.replace(terrain=tmp_path / "own.npz")
+    with pytest.raises(FlightError, match=r"brings its terrain .*own\.npz.*expected --focus-down"):
+        on(bound, relief=True)
+    with pytest.raises(FlightError, match=r"own\.npz"):  # else it is used
+        on(bound)
+    assert chosen_terrain(bound, FocusSettings(relief=True, down_m=0.0)) is None
+    assert chosen_terrain(bound, FocusSettings(relief=True, autofocus=True)) is None
 
 
 def test_heights_are_drawn_north_up() -> None:
