@@ -70,6 +70,8 @@ def run(
     by = make_integrators(photos, masks, settings.mask.method)
     sharp = (by.plain, by.rarity_map)
     surface, focus_notes = choose_surface(photos.flight, settings.focus, sharp, progress)
+    for integrator in sharp:  # an autofocus packed them
+        integrator.release()
     still = without_parallax(photos.flight, surface)
     if still is not None:
         settings = settings.with_values(detect={"enabled": False})
@@ -91,7 +93,7 @@ def run(
             surface, focus_notes = relief[0] or surface, (*focus_notes, relief[1])
             clock("find relief")
     spreads = photos.flight.pose_covariances
-    renderer = Renderer(by, settings, surface, finder, pose_covariances=spreads)
+    renderer = Renderer(by, settings, surface, finder, pose_covariances=spreads, lean=True)
     renderer = renderer.with_ground_for(photos.flight, [view for _, view in views])
     main, main_finds = renderer.render(*views[shown], extra=True)
     finds, detections = [], []

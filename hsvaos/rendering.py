@@ -20,6 +20,7 @@ from hsvaos.finding import Finder
 from hsvaos.flight import Flight, FlightError
 from hsvaos.fragment_input import FragmentInput
 from hsvaos.ground_map import GroundMap, Layer, grid_for, integrate_ground
+from hsvaos.kernels.device import free_memory
 from hsvaos.kernels.integrate import Integrator
 from hsvaos.kernels.packing import Packed
 from hsvaos.kernels.rays import focal_points
@@ -28,6 +29,10 @@ from hsvaos.photos import Photos, Progress, resized
 from hsvaos.result import ViewResult
 from hsvaos.settings import Settings
 from hsvaos.surface import FocalSurface
+
+_PACKED_BYTES = 28
+"""Bytes a pixel of what integrals pack together: the photo under no mask (4), weighed by rarity (8)
+and as ground (8), the rarity itself (4) and the evidence (4)."""
 
 _COARSE = 16
 """Pixels of a view to one of its rough copy, of which the sampling distance is asked."""
@@ -89,6 +94,8 @@ class Renderer:
         finder: Looks for people in a view; None to look for nobody.
         ground: Integrated ground from which views are drawn; None to integrate every view.
         pose_covariances: Shape (N, 6, 6), of the photos' poses; None where they are not known.
+        lean: Whether each integrator lets its packed photos go after use: packing them anew costs
+            less than an integral, and all of them together are several times the photos.
     """
 
     by: Integrators
@@ -97,9 +104,12 @@ class Renderer:
     finder: Finder | None = None
     ground: GroundMap | None = None
     pose_covariances: NDArray[np.float64] | None = None
+    lean: bool = False
 
     def with_ground_for(self, flight: Flight, views: Sequence[VirtualCamera]) -> Renderer:
         """Return a renderer that integrates the ground once, where that can stand for all views.
+
+        Where it cannot, and there are many, packed photos are kept if memory allows.
 
         Args:
             flight: The flight, with poses.
@@ -107,7 +117,10 @@ class Renderer:
         """
         grid = grid_for(flight, views, self.surface, self.settings.view)
         if grid is None:
-            return self
+            free, photos = free_memory(), self.by.plain
+            pixels = len(photos) * photos.camera.width * photos.camera.height
+            enough = free is None or free > _PACKED_BYTES * pixels
+            return replace(self, lean=self.lean and not (enough and len(views) > 1))
         return replace(self, ground=integrate_ground(grid, self._needed(), self._integrate))
 
     def render(
@@ -193,6 +206,8 @@ class Renderer:
         else:
             integrator: Integrator = getattr(self.by, name)
             image, footprint = integrator.integrate(*where)
+            if self.lean:
+                integrator.release()
         return image.numpy(), footprint.numpy()
 
     def _others(self, view: VirtualCamera) -> dict[str, tuple[Any, Any]]:

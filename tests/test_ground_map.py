@@ -58,6 +58,23 @@ def test_no_ground_where_it_cannot_stand_for_the_views(demo):
     views = [flight.view(i) for i in range(len(flight))]
     assert grid_for(flight, views, surface, ViewSettings()) is not None
     assert grid_for(flight, views[:2], surface, ViewSettings()) is None
+
+
+@pytest.mark.parametrize(
+    ("free", "count", "lean"),
+    [(10**12, 1, True), (10**12, 2, False), (10**6, 2, True), (None, 2, False), (None, 30, True)],
+    ids=["one view", "several", "short of memory", "unknown", "ground"],
+)
+def test_packed_photos_are_kept_where_they_are_needed_again(demo, monkeypatch, free, count, lean):
+    flight, by, settings = demo
+    monkeypatch.setattr("hsvaos.rendering.free_memory", lambda: free)
+    surface = FocalPlane(flight.ground_down_m)
+    views = [flight.view(i) for i in range(count)]
+    renderer = Renderer(by, settings, surface, lean=True).with_ground_for(flight, views)
+    assert renderer.lean == lean
+    assert (renderer.ground is None) == (count < 30)
+    own = Renderer(by, settings, surface).with_ground_for(flight, views)
+    assert not own.lean  # who draws again and again keeps them
     assert grid_for(flight, views, surface, ViewSettings(aperture_m=3.0)) is None
     tilted = views[0].world_from_camera.copy()
     turn = np.radians(50.0)

@@ -104,6 +104,7 @@ class Integrator:
         weights = self._without_gaps(weights)
         self._gains = check_gains(gains, stack)
         self._weights, self._weight_unit = self._check_weights(weights)
+        self._given = packed
         self._packed: Any = _NOT_YET if packed is None else packed
         self._pairs: Packed | None = None
         self._packing = Lock()
@@ -162,6 +163,12 @@ class Integrator:
         other.world_from_camera = _checked_poses(world_from_camera, len(self))
         other._stations = None
         return other
+
+    def release(self) -> None:
+        """Let the packed photos go, where memory is short: the next integral packs them anew."""
+        with self._packing:
+            self._packed = _NOT_YET if self._given is None else self._given
+            self._pairs = None
 
     def __len__(self) -> int:
         return self._stack.count

@@ -322,3 +322,20 @@ def test_points_of_a_terrain_follow_view_and_surface() -> None:
         integrator.integrate(*asked[i])
         np.testing.assert_array_equal(integrator.integrate(*asked[j])[0], alone[j])
         np.testing.assert_array_equal(integrator.integrate(*asked[j])[0], alone[j])
+
+
+def test_released_photos_are_packed_anew() -> None:
+    rng = np.random.default_rng(3)
+    camera = random_camera(rng, 36, 28, False)
+    images = rng.integers(0, 256, (4, 28, 36, 3), dtype=np.uint8)
+    poses = np.stack([random_pose(rng) for _ in range(4)])
+    view, plane = VirtualCamera(camera.without_distortion(), poses[0]), FocalPlane(0.0)
+    integrator = Integrator(camera, images, poses, device="cpu")
+    image, footprint = integrator.integrate(view, plane)
+    seen = footprint > 0.0
+    assert seen.any()
+    images[:] = 255 - images
+    integrator.release()
+    anew, same = integrator.integrate(view, plane)
+    assert np.array_equal(same, footprint)
+    np.testing.assert_allclose(anew[seen], 255.0 - image[seen], atol=0.1)
