@@ -4,6 +4,7 @@
     python bench/paper.py run FLIGHTS RESULTS      one JSON a flight and method; resumable
     python bench/paper.py poses FLIGHTS RESULTS    errors of the poses against the truth
     python bench/paper.py table RESULTS            bench/PAPER.md and its figures from what is there
+    python bench/paper.py ablation RESULTS         its ablation alone, of the flights that have one
 
 Every twelfth stored pose is a virtual camera, drawn at 5 cm a pixel, the sampling at which the
 network looks anyway. A ground point shows the same from all of them, so more views are not more
@@ -417,8 +418,8 @@ def main() -> int:
     errors = commands.add_parser("poses")
     errors.add_argument("flights", type=Path)
     errors.add_argument("results", type=Path)
-    table = commands.add_parser("table")
-    table.add_argument("results", type=Path)
+    for name in ("table", "ablation"):
+        commands.add_parser(name).add_argument("results", type=Path)
     asked = parser.parse_args()
     if asked.command == "run":
         quiet_start()
@@ -428,9 +429,9 @@ def main() -> int:
     elif asked.command == "poses":
         pose_errors(asked.flights, asked.results)
     else:
-        from paper_tables import write_page
+        from paper_tables import write_ablation, write_page
 
-        write_page(asked.results)
+        {"table": write_page, "ablation": write_ablation}[asked.command](asked.results)
     return 0
 
 

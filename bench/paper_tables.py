@@ -71,16 +71,7 @@ ABLATION = (
     "ground image", "rarity image", "rarity x hue image", "HSV-AOS", "hue, not brightened", "AOS",
     "peaks of rarity", "peaks of RX",
 )  # fmt: skip
-NO_ABLATION = (
-    "Measured once for these weights, when all was integrated on the focal plane, on the flights "
-    "of seeds 710 and 711 of every forest, true poses; AP at IoU .25, mean of the four forests: "
-    ".87 with everything, .84 without the second look, .80 without what lies around a view. With "
-    "one look only (.84): .70 without fragments and ground, .82 without ground, .81 without the "
-    "colours of fragments, .82 without coherence, without rays, or without the rarity map. The "
-    "ground alone as an image: .49; weighed by rarity: .37; the plain mean: .59; the paper's form: "
-    ".30, not brightened the same; peaks of rarity: .36, of RX: .25. What the relief of the ground "
-    "earns, on all twenty flights, is said above.\n"
-)
+EARNS = "## What each part earns\n\n"
 FOREIGN = ("COCO network, ground", "COCO network, HSV-AOS", "COCO network, AOS")
 """Rows that are there only where `run` was given such a network."""
 
@@ -267,13 +258,13 @@ def ablation_table(made: Evaluations, methods: Sequence[str]) -> str:
 
 
 def ablation(made: Evaluations) -> list[str]:
-    title = "## What each part earns\n\n"
+    """Return the lines of the ablation; those of the page where it was not measured again."""
     flights = {f.name for forest in FORESTS for f in made.common(forest)}
     if not flights:
-        return [title + NO_ABLATION]
+        return [EARNS + _parted(PAGE.read_text(encoding="utf-8"))[1]]
     foreign = [name for name in FOREIGN if any(key(name) == m for _, _, m in made.results)]
     return [
-        f"{title}AP at IoU .25 with true poses on {', '.join(sorted(flights))}: of all who are "
+        f"{EARNS}AP at IoU .25 with true poses on {', '.join(sorted(flights))}: of all who are "
         "reached, and of the fully occluded among them. So few people tell little about small "
         "differences. `hsvaos on a plane` is without the relief of the ground, where all that is "
         "called hsvaos, one look or all but something is integrated; the rest is on the plane. "
@@ -282,6 +273,21 @@ def ablation(made: Evaluations) -> list[str]:
         f"{COCO if foreign else NO_COCO}\n",
         ablation_table(made, (*ABLATION, *foreign)),
     ]
+
+
+def write_ablation(folder: Path) -> None:
+    """Write the page's ablation anew, and leave the rest of the page as it is."""
+    before, _, after = _parted(PAGE.read_text(encoding="utf-8"))
+    section = "\n".join(ablation(Evaluations(read(folder)))).rstrip()
+    PAGE.write_text(f"{before}{section}\n\n{after}", encoding="utf-8")
+    print(PAGE)
+
+
+def _parted(page: str) -> tuple[str, str, str]:
+    """What stands on a page before its ablation, of it, and after it."""
+    before, _, rest = page.partition(EARNS)
+    section, title, after = rest.partition("\n## ")
+    return before, section, f"{title}{after}".lstrip("\n")
 
 
 def figures(made: Evaluations, poses: dict[str, str]) -> list[str]:
