@@ -210,14 +210,13 @@ def measure(
     by_name = integrators(photos, masks, evidence, ablation)
     for track, use in wanted.items():
         flight = posed(photos.flight, folder, track)
-        moved = {name: one.at_poses(flight.poses) for name, one in by_name.items()}
         plane = FocalPlane(flight.ground_down_m or 0.0)
         there = replace(photos, flight=flight)
         surfaces: dict[bool, FocalSurface] = {False: plane}
         if any(method.relief for method in use.values()):
             relief, _ = find_relief(there, evidence.ground, masks.gains, plane)
             surfaces[True] = relief or plane
-        for name, result in _measure_track(true, flight, moved, surfaces, use).items():
+        for name, result in _measure_track(true, flight, by_name, surfaces, use).items():
             yield track, name, result
 
 
@@ -233,7 +232,7 @@ def _measure_track(
     Args:
         true: The flight with its truth.
         flight: The flight with the poses to use.
-        by_name: The integrators of all layers, with these poses.
+        by_name: The integrators of all layers, whatever their poses.
         surfaces: By whether a method sees the relief.
         use: The methods.
     """
@@ -303,12 +302,14 @@ def _ground(
     for name, integrator in by_name.items():
         if name == "pieces" or name not in names:
             continue
-        image, footprint = integrator.integrate(grid, surface)
+        image, footprint = integrator.at_poses(flight.poses).integrate(grid, surface)
+        integrator.release()  # all of them packed take several times the photos
         layers[name] = (np.asarray(image.numpy()), np.asarray(footprint.numpy()))
     for name, of in (("coherence", "rarity"), ("fragment_coherence", "pieces")):
         if name not in names:
             continue
-        agreed, coherence = by_name[of].coherence(grid, surface)
+        agreed, coherence = by_name[of].at_poses(flight.poses).coherence(grid, surface)
+        by_name[of].release()
         layers[name] = (np.asarray(agreed.numpy()), np.asarray(coherence.numpy()))
     return GroundMap(grid, layers)
 
