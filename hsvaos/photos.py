@@ -20,10 +20,10 @@ from hsvaos.nav.photos import poses_at_photos
 Progress = Callable[[str, int, int], None]
 """Called with a stage's name, steps done and steps in all."""
 
-_BYTES_A_PIXEL = 22
+_BYTES_A_PIXEL = 29
 """Mask (1), rarity (4), evidence of fragments (2, and 2 as weights) and of the ground (1) of every
-pixel, beside the photo, and what integrals pack: the photo under the hue cut (4), and in turn at
-most 8, see `rendering.Renderer`."""
+pixel, beside the photo; what integrals pack: the photo under the hue cut (4), and in turn at most
+8, see `rendering.Renderer`; and 7 for all else (117 photos of 1024 x 1024 held 32 together)."""
 
 
 @dataclass(frozen=True, eq=False)
