@@ -18,7 +18,7 @@ from hsvaos.settings import MaskSettings
 from tests.kernels.test_tiles import decibel
 from tests.live.conftest import Strip
 from tests.nav.conftest import *  # noqa: F403 - its fixtures
-from tests.nav.conftest import BARO, GNSS, IMU
+from tests.nav.models import BARO, GNSS, IMU
 from tests.nav.test_online import events, feed
 
 

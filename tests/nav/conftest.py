@@ -1,6 +1,5 @@
 """Shared missions and logs; real logs where they are."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,13 +8,10 @@ import pytest
 from hsvaos.nav import attitude
 from hsvaos.nav.initial import InitialState
 from hsvaos.nav.mission import Lawnmower
-from hsvaos.nav.sensors import BARO_MODELS, GNSS_MODELS, IMU_MODELS, simulate_log
+from hsvaos.nav.sensors import simulate_log
+from tests.nav.models import BARO, GNSS, IMU
 
 LOGS = Path(__file__).parents[3] / "shared" / "data" / "logs"
-
-IMU = IMU_MODELS["adis16448-calibrated"]
-GNSS = GNSS_MODELS["sbas"]
-BARO = BARO_MODELS["calibrated"]
 
 
 @pytest.fixture(scope="session")
@@ -64,14 +60,3 @@ def start(short_mission):
         )
 
     return make
-
-
-def horizontal_rmse(states, motion) -> float:
-    """Horizontal error of states over all epochs after the first ten seconds [m]."""
-    late = states.t_s > states.t_s[0] + 10.0
-    error = states.position[late] - motion.at(states.t_s[late])[0]
-    return float(np.sqrt(np.mean(np.sum(error[:, :2] ** 2, axis=1))))
-
-
-def with_latency(seconds: float):
-    return replace(GNSS, latency_s=seconds)

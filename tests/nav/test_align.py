@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import BARO, GNSS, IMU, with_latency
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -17,6 +16,7 @@ from hsvaos.nav.fit import fit_models
 from hsvaos.nav.log import BaroLog, GnssLog, ImuLog, MagLog, SensorLog, TrueMotion
 from hsvaos.nav.mission import lean
 from hsvaos.nav.sensors import IMU_MODELS, simulate_log
+from tests.nav.models import BARO, GNSS, IMU, with_latency
 
 EKF = ErrorStateEkf(IMU, GNSS, BARO)
 

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import BARO, GNSS, IMU, horizontal_rmse, with_latency
 
 from hsvaos.nav import attitude
 from hsvaos.nav.chi_square import mean_bounds
@@ -12,6 +11,7 @@ from hsvaos.nav.error_state_ekf import ErrorStateEkf
 from hsvaos.nav.log import BaroLog, Mounting
 from hsvaos.nav.sensors import BARO_MODELS, IMU_MODELS
 from hsvaos.nav.smoother import smooth
+from tests.nav.models import BARO, GNSS, IMU, horizontal_rmse, with_latency
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from hsvaos.nav.log import SensorLog
 from hsvaos.nav.online import NoPoseError, OnlineFilter
 from hsvaos.nav.sensor_models import BaroModel
 from hsvaos.nav.trajectory import trajectory_of
-from tests.nav.conftest import BARO, GNSS, IMU, with_latency
+from tests.nav.models import BARO, GNSS, IMU, with_latency
 
 
 def events(log: SensorLog) -> list[tuple[float, str, int]]:

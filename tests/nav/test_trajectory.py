@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import BARO, GNSS, IMU
 
 from hsvaos.camera import Camera
 from hsvaos.flight import Flight, FlightError, Frame, Origin
@@ -19,6 +18,7 @@ from hsvaos.nav.paper_ekf import PaperEkf
 from hsvaos.nav.photos import poses_at_photos
 from hsvaos.nav.smoother import smooth
 from hsvaos.nav.trajectory import trajectory_of
+from tests.nav.models import BARO, GNSS, IMU
 
 MOUNTING = Mounting(
     body_from_camera_q=attitude.multiply(
