@@ -49,7 +49,8 @@ ALLOWED = {
     "report": BASE | {"detect", "result", "sweeping"},
     "viewer": BASE
     | {"photos", "masking", "kernels", "result", "rendering", "focusing", "viewing", "report"}
-    | {"nav", "finding", "cli_options", "live", "detect", "fragment_input", "rarity_model"},
+    | {"nav", "finding", "cli_options", "live", "detect", "fragment_input", "rarity_model"}
+    | {"relief"},
     "evaluate": BASE
     | {
         "detect",

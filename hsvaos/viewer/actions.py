@@ -97,6 +97,34 @@ class Actions:
 
         tab.live.background(tab, "focus", job, tab.failed)
 
+    def follow_terrain(self) -> None:
+        """Go to the terrain or back to the plane, as the box says; find the relief if need be."""
+        tab, c = self.tab, self.tab.controls
+        if not c.terrain.value or tab.session.terrain is not None:
+            self._go_to_terrain()
+            return
+        mask = c.mask(tab.session.settings.mask, tab.kept)
+
+        def job(wanted: Wanted) -> None:
+            note = tab.session.find_relief(mask, wanted, self._tell_progress)
+
+            def put() -> None:
+                c.finds.content = note
+                if tab.session.terrain is None:
+                    c.terrain.value = False
+                    c.status.content = f"**{note}**"
+
+            tab.tell(put)
+            self._go_to_terrain()
+
+        tab.live.background(tab, "relief", job, tab.failed)
+
+    def _go_to_terrain(self) -> None:
+        tab, c = self.tab, self.tab.controls
+        on = bool(c.terrain.value) and tab.session.terrain is not None
+        tab.tell(lambda: c.go_to_terrain(tab.session, on))
+        tab.update()
+
     def _draw_curve(self) -> None:
         c = self.tab.controls
         chart = focus_chart(self._curve, c.depth.value)
@@ -194,7 +222,7 @@ class Actions:
 
     def _tell_progress(self, stage: str, done: int, count: int) -> None:
         def put() -> None:
-            self.tab.controls.finds.content = f"{stage.capitalize()}: {done} of {count} photos."
+            self.tab.controls.finds.content = f"{stage.capitalize()}: {done} of {count}."
 
         self.tab.tell(put)
 

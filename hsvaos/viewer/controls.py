@@ -79,12 +79,32 @@ class Controls:
     film_span: Any
     film_steps: Any
     save_film: Any
+    on_terrain: bool = False
+    """Whether depths count from the terrain: where it is asked for, and there."""
 
     def focus(self) -> Focus:
         """Return the focal surface that the panel stands for."""
-        if self.terrain is not None and self.terrain.value:
+        if self.on_terrain:
             return Focus(self.depth.value, terrain=True)
         return Focus(self.depth.value, self.pitch.value, self.roll.value)
+
+    def go_to_terrain(self, session: Session, on: bool) -> None:
+        """Let the depths of the panel count from the terrain, or from the ground's origin again.
+
+        Args:
+            session: The flight.
+            on: Whether the terrain is followed from now on.
+        """
+        if on == self.on_terrain:
+            return
+        shift = -session.ground_m if on else session.ground_m
+        first, last = depth_range(session, on)
+        self.on_terrain = on
+        down = round(min(max(self.depth.value + shift, first), last), 2)
+        for slider, value in ((self.depth, down), (self.film_span, (first, last))):
+            slider.min, slider.max = min(first, slider.min), max(last, slider.max)
+            slider.value = value  # within both ranges, old and new
+            slider.min, slider.max = first, last
 
     def look(self) -> Look:
         """Return contrast and brightness."""
@@ -146,25 +166,43 @@ def build(client: viser.ClientHandle, session: Session, ground_m: float) -> Cont
     return Controls(**h)
 
 
+def depth_range(session: Session, on_terrain: bool) -> tuple[float, float]:
+    """Return the depths between which sliders go [m].
+
+    Args:
+        session: The flight.
+        on_terrain: Whether depths count from the terrain.
+    """
+    first, last = (round(depth, 2) for depth in session.depths)
+    if not on_terrain:
+        return first, last
+    half = round(0.5 * (last - first), 2)
+    return -half, half
+
+
 def _focus(gui: viser.GuiApi, session: Session, h: dict[str, Any]) -> None:
-    first, last = session.depths
     start = session.start
-    if start.terrain:
-        half = round(0.5 * (last - first), 2)
-        first, last = -half, half
+    first, last = depth_range(session, start.terrain)
     tilt, step, down = MOST_TILT_DEG, 0.05, round(start.down_m, 2)
     h["depth"] = gui.add_slider(
         "Depth [m]",
-        min(round(first, 2), down),
-        max(round(last, 2), down),
+        min(first, down),
+        max(last, down),
         step,
         down,
         hint="Down of the focal plane, or shift of the terrain. Keys: Page Up, Page Down.",
     )
     h["nudge"] = gui.add_button_group("Nudge [m]", ("-1", "-0.1", "+0.1", "+1"))
-    h["terrain"] = None
-    if session.terrain is not None:
-        h["terrain"] = gui.add_checkbox("Follow the terrain", start.terrain)
+    h["terrain"], h["on_terrain"] = None, start.terrain
+    if start.terrain:
+        h["terrain"] = gui.add_checkbox("Follow the terrain", True)
+    elif session.may_find_relief:
+        h["terrain"] = gui.add_checkbox(
+            "Follow the relief",
+            False,
+            hint="How high the ground is above and below the focal plane, as hsvaos run finds it. "
+            "All photos are looked into for it, which takes a while the first time.",
+        )
     h["pitch"] = gui.add_slider(
         "Pitch [deg]", -tilt, tilt, 0.5, start.pitch_deg, hint="The plane rises to the north."
     )
@@ -249,14 +287,10 @@ def _photos(gui: viser.GuiApi, session: Session, ground_m: float, h: dict[str, A
 
 
 def _save(gui: viser.GuiApi, session: Session, h: dict[str, Any]) -> None:
-    first, last = session.depths
-    if session.start.terrain:
-        half = 0.5 * (last - first)
-        first, last = -half, half
+    span = depth_range(session, session.start.terrain)
     h["save_png"] = gui.add_button("Picture (PNG)")
     h["save_toml"] = gui.add_button("Settings (TOML)", hint="For hsvaos run --settings FILE.")
     with gui.add_folder("Film through the depths"):
-        span = (round(first, 2), round(last, 2))
         h["film_span"] = gui.add_multi_slider("From, to [m]", *span, 0.1, span)
         h["film_steps"] = gui.add_slider("Pictures", 2, 200, 1, 40)
         h["film_kind"] = gui.add_dropdown("Kind", ("mp4", "gif"), initial_value="mp4")

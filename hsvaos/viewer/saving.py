@@ -24,19 +24,24 @@ _FPS = 10
 def settings_of(session: Session, request: Request) -> Settings:
     """Return the settings with which `hsvaos run` renders what a request shows, where it can.
 
-    The view becomes that of the nearest photo. A centre of the aperture, and a subset of the
-    photos, have no settings; `settings_toml` says so.
+    The view becomes that of the nearest photo. A centre of the aperture, a subset of the photos,
+    and a shift of the relief that was found, have no settings; `settings_toml` says so.
 
     Args:
         session: The flight.
         request: What is shown.
     """
     base, focus = session.settings, request.focus
-    if focus.terrain:
+    if focus.terrain and session.start.terrain:
         table = {"down_m": None, "autofocus": False, "offset_m": focus.down_m}
         table |= {"pitch_deg": 0.0, "roll_deg": 0.0}
+    elif focus.terrain:  # the relief that was found about the plane at the start
+        start = session.start
+        table = {"down_m": start.down_m, "autofocus": False, "relief": True, "offset_m": 0.0}
+        table |= {"pitch_deg": start.pitch_deg, "roll_deg": start.roll_deg}
     else:
         table = {"down_m": focus.down_m, "terrain": None, "autofocus": False, "offset_m": 0.0}
+        table |= {"relief": None}  # a plane that is named is kept
         table |= {"pitch_deg": focus.pitch_deg, "roll_deg": focus.roll_deg}
     frame = session.flight.frames[session.nearest(request.view)].name
     radius = request.aperture.radius_m if request.aperture.centre is None else None
@@ -63,6 +68,12 @@ def settings_toml(session: Session, request: Request) -> str:
         lines.append(
             f"# photos {aperture.first} to {last}, every {aperture.every}: hsvaos run has "
             f"no such choice and takes all photos"
+        )
+    focus = request.focus
+    if focus.terrain and not session.start.terrain and focus.down_m != 0.0:
+        lines.append(
+            f"# {focus.down_m:g} m below the relief of the ground: hsvaos run finds the relief, "
+            f"and does not shift it"
         )
     numbers = ", ".join(f"{value:.4f}" for value in pose[:3].ravel())
     lines.append(f"# world_from_camera (3 x 4) = {numbers}")

@@ -18,10 +18,11 @@ from hsvaos.kernels.device import resolve_device
 from hsvaos.kernels.integrate import Integrator
 from hsvaos.kernels.rays import focal_points
 from hsvaos.photos import Photos, Progress, load_photos, with_poses
+from hsvaos.relief.find import find_relief
 from hsvaos.rendering import EvidenceIntegrators, Renderer
 from hsvaos.result import ViewResult
 from hsvaos.settings import FocusSettings, MaskSettings, Settings
-from hsvaos.surface import FocalSurface, FocalTerrain
+from hsvaos.surface import FocalPlane, FocalSurface, FocalTerrain
 from hsvaos.viewer.pace import Quality
 from hsvaos.viewer.render import Picture, integral, render
 from hsvaos.viewer.request import Focus, Request, window
@@ -87,6 +88,8 @@ class Session:
         self.no_parallax = without_parallax(self.flight, surface)
         still = () if self.no_parallax is None else (self.no_parallax,)
         self.notes = (*notes, *photos.notes, *focus_notes, *still)
+        self._relief: tuple[FocalTerrain | None, str] | None = None
+        self._finding_relief = threading.Lock()
         self._finds: tuple[Any, tuple[Find, ...]] | None = None
         self._finding = threading.Lock()
         self._finder: Finder | None = None
@@ -124,7 +127,7 @@ class Session:
     @property
     def ground_m(self) -> float:
         """Down of the middle of the surface that the session starts with [m]."""
-        if self.terrain is not None:
+        if self.start.terrain and self.terrain is not None:
             return float(np.nanmedian(self.terrain.down_m))
         return self.start.down_m
 
@@ -134,6 +137,50 @@ class Session:
         lowest, ground = float(self.places[:, 2].max()), self.ground_m
         height = max(ground - lowest, 1.0)
         return ground - 0.9 * height, ground + 0.35 * height
+
+    @property
+    def may_find_relief(self) -> bool:
+        """Whether the relief of the ground can be looked for: colour photos, and no terrain yet."""
+        return self.photos.is_colour and not self.start.terrain and self.no_parallax is None
+
+    def find_relief(
+        self,
+        mask: MaskSettings,
+        wanted: Wanted = lambda: True,
+        progress: Progress | None = None,
+    ) -> str:
+        """Find the relief of the ground about the plane that the session starts with.
+
+        It becomes the terrain of the session. The first time all photos are looked into for it,
+        which takes seconds; later calls return at once.
+
+        Args:
+            mask: The settings.
+            wanted: Asked between photos.
+            progress: Told of photos and planes.
+
+        Returns:
+            A line about it; `terrain` stays None where it is not known.
+
+        Raises:
+            Abandoned: If it is no longer wanted.
+            FlightError: If there is none to find: grey photos, or a terrain is there.
+        """
+        if not self.may_find_relief:
+            raise FlightError(
+                f"{self.flight.source}: the relief of the ground is found in RGB photos, about a "
+                f"focal plane; this flight has {'a terrain' if self.start.terrain else 'none'}"
+            )
+        with self._finding_relief:
+            if self._relief is None:
+                ground = self.weights.ground(mask, self._gsd_m, wanted, progress)
+                plane = self.surface(self.start)
+                if not isinstance(plane, FocalPlane):
+                    raise TypeError(f"a session without terrain starts on a plane, got {plane!r}")
+                gains = self.weights.gains
+                self._relief = find_relief(self.photos, ground, gains, plane, progress)
+                self.terrain = self._relief[0]
+            return self._relief[1]
 
     def surface(self, focus: Focus) -> FocalSurface:
         """Return the focal surface of a request.

@@ -58,7 +58,7 @@ class Tab:
 
     def _wire(self) -> None:
         c = self.controls
-        plain = [c.depth, c.terrain, c.pitch, c.roll, c.contrast, c.brightness, c.size, c.method]
+        plain = [c.depth, c.pitch, c.roll, c.contrast, c.brightness, c.size, c.method]
         plain += [c.brighten, c.keep_distance, c.radius, c.all_photos, c.follow, c.north, c.east]
         plain += [c.span, c.every, c.layer, c.place, c.by_hand]
         for handle in plain:
@@ -66,6 +66,8 @@ class Tab:
                 handle.on_update(lambda _: self.update())
         for handle in (c.layer, c.show_photos, c.show_finds, c.show_outline, c.show_grid):
             handle.on_update(lambda _: self.show_parts())
+        if c.terrain is not None:
+            c.terrain.on_update(lambda _: self.actions.follow_terrain())
         c.sigmas.on_update(lambda event: self._sigmas_moved(event.client is not None))
         if c.cuts is not None:
             c.cuts.on_update(lambda event: self._cut_moved(event.client is not None))

@@ -96,7 +96,7 @@ class WeightCache:
         self._layers: dict[str, tuple[Any, tuple[Any, Any]]] = {}
         self._looking = threading.Lock()
         self._evidence: tuple[Any, list[PhotoEvidence]] | None = None
-        self._fragments: tuple[Any, EvidenceIntegrators] | None = None
+        self._fragments: tuple[Any, EvidenceIntegrators, NDArray[np.uint8]] | None = None
         pixels = int(np.prod(photos.images.shape[:3]))
         self._kept = max(1, min(_MOST_KEPT, _CACHE_BYTES // (_BYTES_A_PIXEL * pixels)))
 
@@ -234,10 +234,28 @@ class WeightCache:
         Raises:
             Abandoned: If it is no longer wanted.
         """
+        return self._looked(mask, gsd_m, wanted, progress)[1]
+
+    def ground(
+        self,
+        mask: MaskSettings,
+        gsd_m: float | None,
+        wanted: Wanted = lambda: True,
+        progress: Progress | None = None,
+    ) -> NDArray[np.uint8]:
+        """Return how likely each pixel of each photo shows the ground, shape (N, h, w), 255 = sure.
+
+        Takes as long as `fragments`, and only once for both; see there.
+        """
+        return self._looked(mask, gsd_m, wanted, progress)[2]
+
+    def _looked(
+        self, mask: MaskSettings, gsd_m: float | None, wanted: Wanted, progress: Progress | None
+    ) -> tuple[Any, EvidenceIntegrators, NDArray[np.uint8]]:
         key = _looked_with(mask, gsd_m)
         with self._looking:
             if self._fragments is not None and self._fragments[0] == key:
-                return self._fragments[1]
+                return self._fragments
             if self._evidence is None or self._evidence[0] != key:
                 self._evidence = (key, [])
             seen, count = self._evidence[1], len(self.photos.flight)
@@ -253,9 +271,9 @@ class WeightCache:
             people, ground = (np.stack(part) for part in zip(*seen, strict=True))
             evidence = PhotoEvidence(people, ground)
             made = evidence_integrators(self.photos, evidence, self.gains)
-            self._fragments = (key, made)
+            self._fragments = (key, made, ground)
             self._evidence = None
-            return self._fragments[1]
+            return self._fragments
 
     def _make_whole(self, kind: str, mask: MaskSettings, wanted: Wanted) -> Integrator:
         if not wanted():

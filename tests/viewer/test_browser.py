@@ -242,6 +242,22 @@ def test_hues_autofocus_and_eyedropper(app: App, page: Any) -> None:
     settled(tab)
 
 
+def test_the_relief_is_found_when_asked_for(app: App, page: Any) -> None:
+    tab = tab_of(app, page)
+    tab.controls.depth.value = tab.session.ground_m - 0.5
+    settled(tab)
+    page.get_by_text("Follow the relief").click()
+    until(lambda: tab.last is not None and tab.last.focus == Focus(-0.5, terrain=True), 180.0)
+    assert tab.session.terrain is not None
+    assert "relief of the ground: " in tab.controls.finds.content
+    settled(tab)
+    page.get_by_text("Follow the relief").click()
+    until(lambda: tab.last is not None and not tab.last.focus.terrain)
+    assert tab.last is not None
+    assert tab.last.focus.down_m == pytest.approx(tab.session.ground_m - 0.5)
+    settled(tab)
+
+
 def test_tabs_are_each_their_own_and_leave_nothing(
     app: App, page: Any, browser: Any, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -22,6 +22,7 @@ from hsvaos.viewer.focus import focus_curve, sweep_pictures
 from hsvaos.viewer.pace import Quality
 from hsvaos.viewer.picture import integral_picture
 from hsvaos.viewer.request import LAYERS, Aperture, Focus, Look, Request, window
+from hsvaos.viewer.saving import settings_of, settings_toml
 from hsvaos.viewer.session import Session
 from hsvaos.viewer.weights import Abandoned
 
@@ -216,6 +217,26 @@ def test_finds_are_those_of_a_run() -> None:
         assert (find.place[:2] <= high[:2] + 1e-6).all()
     with pytest.raises(Abandoned):
         session.finds(replace(asked, focus=Focus(0.3)), wanted=lambda: False)
+    # and on the relief of the ground, which a run finds by default
+    note = session.find_relief(asked.mask)
+    result = hsvaos.run(flight)
+    assert note in result.notes
+    there = replace(asked, focus=Focus(0.0, terrain=True))
+    assert sorted(f.score for f in session.finds(there)) == pytest.approx(
+        sorted(result.main.detections.scores.tolist())
+    )
+    saved = settings_of(session, there).focus
+    assert (saved.down_m, saved.relief, saved.terrain) == (session.start.down_m, True, None)
+    assert "does not shift it" in settings_toml(
+        session, replace(there, focus=Focus(1.0, 0, 0, True))
+    )
+    assert settings_of(session, asked).focus.relief is None
+
+
+def test_no_relief_is_found_in_grey_photos(grey: Session) -> None:
+    assert not grey.may_find_relief
+    with pytest.raises(FlightError, match="found in RGB photos, about a focal plane"):
+        grey.find_relief(grey.settings.mask)
 
 
 def test_focus_curve_peaks_at_the_ground(session: Session, request_: Request) -> None:
