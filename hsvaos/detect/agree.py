@@ -1,4 +1,4 @@
-"""One opinion out of two networks that look at the same view."""
+"""One opinion out of two looks at the same view: of two networks, or at two sizes."""
 
 from __future__ import annotations
 
@@ -13,22 +13,26 @@ _SAME = 0.1
 """Overlap from which boxes of the two mean the same: they place half hidden people differently."""
 
 _SILENT = 0.35
-"""What a network counts as having said of a box that it does not give: no more than doubt."""
+"""What the second look counts as having said of a box that it does not give: doubt."""
+
+_AT_A_LOSS = 0.5
+"""The same for the first one, whose silence says nothing: the network for all images knows thermal
+photos from simulated flights only, and at full size real ones are softer than anything drawn."""
 
 _LENIENCE = 0.2
-"""Added to the mean, in logits: two that half agree are surer than each alone. This and the two
-above were chosen on one simulated thermal flight (train/README.md)."""
+"""Added to the mean, in logits: two that half agree are surer than each alone. All of these were
+chosen on one simulated thermal flight and on real ones (train/README.md)."""
 
 _SUREST = 0.99
 
 
 def agreed(first: Detections, second: Detections, iou: float, most: int) -> Detections:
-    """Return the finds of two networks, their scores averaged as logits.
+    """Return the finds of two looks, their scores averaged as logits.
 
     Args:
         first: Finds of the one in a view, down to weak ones. Where both give a box, this one's is
-            taken.
-        second: Finds of the other.
+            taken. What it does not give may be all the same.
+        second: Finds of the other. What it does not give is doubted.
         iou: Overlap from which two boxes are one person.
         most: People kept.
 
@@ -43,17 +47,19 @@ def agreed(first: Detections, second: Detections, iou: float, most: int) -> Dete
         boxes[shared] = first.boxes_xyxy[best[shared]]
     scores = np.concatenate(
         [
-            _mean(first.scores, _partners(share, second.scores)),
-            _mean(second.scores, _partners(share.T, first.scores)),
+            _mean(first.scores, _partners(share, second.scores, _SILENT)),
+            _mean(second.scores, _partners(share.T, first.scores, _AT_A_LOSS)),
         ]
     )
     return suppress(np.concatenate([first.boxes_xyxy, boxes]), scores, iou, most)
 
 
-def _partners(share: NDArray[np.bool_], scores: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Best score of the other network's boxes that mean the same."""
+def _partners(
+    share: NDArray[np.bool_], scores: NDArray[np.float32], silent: float
+) -> NDArray[np.float64]:
+    """Best score of the other's boxes that mean the same, or what its silence counts as."""
     best = np.where(share, scores, 0.0).max(axis=1, initial=0.0)
-    return np.asarray(np.maximum(best, _SILENT), dtype=np.float64)
+    return np.asarray(np.maximum(best, silent), dtype=np.float64)
 
 
 def _mean(scores: NDArray[np.float32], partners: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -32,6 +32,10 @@ _OWN_SIDE = 2048
 _OWN_OVERLAP = 256
 """Overlap of such windows [px]: half of it is three people long at 4.5 cm."""
 
+_SMALLER = 0.7
+"""Real thermal integral images are softer than their pixels: seen smaller, people look as they do
+in what the network for grey images learned from (bench/THERMAL.md)."""
+
 _OVERLAP = 0.2
 """Overlap of other windows, as a share of their side."""
 
@@ -77,6 +81,7 @@ class PhotoFeed:
     Attributes:
         score: Score from which a box counts, by default.
         photo_layers: None.
+        scales: 1: a view is looked at once.
 
     Args:
         network: The network.
@@ -93,17 +98,21 @@ class PhotoFeed:
     ) -> None:
         self.score = layout.score
         self.photo_layers: tuple[str, ...] = ()
+        self.scales: tuple[float, ...] = (1.0,)
         self._layout = layout
         self._size = input_size(network, size_px)
         self._slice = slice_px
 
-    def tiles(self, number: int, view: ViewInput, gsd_m: float | None) -> Iterator[Tile]:
+    def tiles(
+        self, number: int, view: ViewInput, gsd_m: float | None, scale: float = 1.0
+    ) -> Iterator[Tile]:
         """Yield the inputs of a view; its sampling distance does not matter.
 
         Args:
             number: Of the view.
             view: The view.
             gsd_m: Ground sampling distance [m/px].
+            scale: 1.
         """
         for window in windows(view.size, *self._side(view.size)):
             part = view.cut(window)
@@ -125,6 +134,7 @@ class OwnFeed:
         score: Score from which a box counts, by default.
         photo_layers: What of single photos the network looks at: some of "fragments",
             "fragment_coherence" and "ground".
+        scales: Sizes at which a view is looked at, as factors on its sides: two of grey ones.
 
     Args:
         network: The network.
@@ -140,6 +150,7 @@ class OwnFeed:
         self._stride = _stride(network)
         names = own_channels(network)
         self._grey = names[0] in GREY_CHANNELS
+        self.scales: tuple[float, ...] = (1.0, _SMALLER) if self._grey else (1.0,)
         known = GREY_CHANNELS if self._grey else CHANNELS
         self._channels = [known.index(name) for name in names]
         self.photo_layers = photo_layers(names)
@@ -155,27 +166,31 @@ class OwnFeed:
         whole = (height, width) == (_OWN_SIDE, _OWN_SIDE)
         self._overlap = _OWN_OVERLAP if whole else round(_OVERLAP * min(height, width))
 
-    def tiles(self, number: int, view: ViewInput, gsd_m: float | None) -> Iterator[Tile]:
+    def tiles(
+        self, number: int, view: ViewInput, gsd_m: float | None, scale: float = 1.0
+    ) -> Iterator[Tile]:
         """Yield the inputs of a view.
 
         Args:
             number: Of the view.
             view: The view.
             gsd_m: Ground sampling distance [m/px]; None: it is taken as it is.
+            scale: One of `scales`.
 
         Raises:
             ValueError: If the distance is not positive, or so coarse that resampling is senseless.
         """
-        height, width = view.size
+        height, width = size = view.size
         if gsd_m is not None:
             if not (gsd := finite_number(gsd_m, "gsd_m")) > 0.0:
                 raise ValueError(f"gsd_m must be a positive number of metres, got {gsd_m!r}")
-            view = view.resized(*trained_size(view.size, gsd, self._gsd_m, self._aim_m))
-        scale = view.size[1] / width, view.size[0] / height
+            size = trained_size(size, gsd, self._gsd_m, self._aim_m)
+        view = view.resized(*(max(1, round(scale * side)) for side in size))
+        factors = view.size[1] / width, view.size[0] / height
         for window in windows(view.size, self._side, self._overlap):
             part = view.cut(window)
             if part.any_seen:
-                yield Tile(number, self._planes(part), Placement(), window, scale)
+                yield Tile(number, self._planes(part), Placement(), window, factors)
 
     def _planes(self, view: ViewInput) -> Array:
         if self._grey:

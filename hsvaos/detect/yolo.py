@@ -30,7 +30,7 @@ PACKAGED_GREY = Path(__file__).with_name("person_grey.onnx")
 """Our own weights for grey (thermal) images, with the same threshold."""
 
 _FLOOR = 0.05
-"""Score from which boxes count that another network may confirm."""
+"""Score from which boxes count that another look may confirm."""
 
 _BATCH_PIXELS = 2**21
 """Pixels at a time, in as many pictures as that takes."""
@@ -272,12 +272,23 @@ class Detector:
         self, views: list[ViewInput], distances: list[Any], least: float
     ) -> list[Detections]:
         """Run the network over views; `distances` are ground sampling distances or None."""
+        scales = self._feed.scales
+        if len(scales) == 1:
+            return self._found_at(scales[0], views, distances, least)
+        floor = min(_FLOOR, least)
+        looks = [self._found_at(scale, views, distances, floor) for scale in scales]
+        pairs = zip(*looks, strict=True)
+        return [agreed(a, b, self._iou, self._most).above(least) for a, b in pairs]
+
+    def _found_at(
+        self, scale: float, views: list[ViewInput], distances: list[Any], least: float
+    ) -> list[Detections]:
         boxes: list[list[Array]] = [[] for _ in views]
         scores: list[list[Array]] = [[] for _ in views]
         tiles = (
             tile
             for number, (view, distance) in enumerate(zip(views, distances, strict=True))
-            for tile in self._feed.tiles(number, view, distance)
+            for tile in self._feed.tiles(number, view, distance, scale)
         )
         for batch in self._batches(tiles):
             for tile, found, strength in zip(batch, *self._run(batch), strict=True):
