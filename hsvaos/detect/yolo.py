@@ -176,7 +176,7 @@ class Detector:
                 of the ground, for our own network of colour images.
             gsd_m: Ground sampling distance [m/px]. Our own networks take 0.045 to 0.09, of grey
                 images 0.07 to 0.146: beyond that the view is resampled. By default it is taken as
-                it is.
+                it is. Grey images are looked at once more at .7 of that size.
 
         Returns:
             People, strongest first; scores are probabilities, all class ids 0.
