@@ -1,7 +1,7 @@
 """Real thermal photos: JKU's flight F0, three people under trees, an open field; who finds them.
 
     python bench/thermal.py F0 FIELD     F0: a folder with all 382 photos and their poses.json;
-                                         FIELD: JKU's pictures of an open field, may be left out
+                                         FIELD: JKU's pictures of an open field
 
 Writes bench/THERMAL.md. The flights are JKU's (https://github.com/JKU-ICG/AOS, for research and
 education) and no part of this project; nothing was trained on them. Where F0's people lie was read
@@ -11,8 +11,9 @@ the flight some of them are hardly to be seen; they count all the same.
 
 from __future__ import annotations
 
+import argparse
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,9 +30,9 @@ from hsvaos.kernels.device import quiet_start
 from hsvaos.settings import DetectSettings
 
 try:
-    from thermal_field import PERSON_PX, field_pictures  # run as a script
+    from thermal_field import FIRST, LAST, PERSON_PX, field_pictures  # run as a script
 except ImportError:
-    from bench.thermal_field import PERSON_PX, field_pictures
+    from bench.thermal_field import FIRST, LAST, PERSON_PX, field_pictures
 
 PAGE = Path(__file__).with_name("THERMAL.md")
 FOV_DEG = 50.815436217896945
@@ -48,6 +49,9 @@ IOUS = (0.10, 0.25, 0.50)
 FLOOR = 0.02
 
 Find = Callable[[np.ndarray, np.ndarray, float], Detections]
+Row = tuple[str, ...]
+Picture = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""Image, rays, boxes of people [px], and which of them need not be found."""
 
 
 def parts(count: int) -> Iterator[list[int]]:
@@ -73,10 +77,8 @@ def contenders() -> dict[str, Find]:
     }
 
 
-def f0_pictures(folder: str, gsd: float) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield integral images of F0 with their rays, and the people's boxes [px]."""
-    flight = hsvaos.open_flight(folder, fov_deg=FOV_DEG)
-    integrator = Integrator(flight.camera, np.stack(list(flight.images())), flight.poses)
+def f0_pictures(flight: hsvaos.Flight, integrator: Integrator, gsd: float) -> Iterator[Picture]:
+    """Yield the integral images of F0."""
     edges = (np.array([REACH_M, -REACH_M] * 2) - PEOPLE_M) / [gsd, -gsd, gsd, -gsd]
     side = int(2.0 * REACH_M / gsd)
     view = VirtualCamera.ortho(REACH_M, -REACH_M, gsd, side, side)
@@ -84,36 +86,54 @@ def f0_pictures(folder: str, gsd: float) -> Iterator[tuple[np.ndarray, np.ndarra
         seen = integrator.integrate(view, FocalPlane(GROUND_DOWN_M), frames=np.array(chosen))
         image, rays = np.array(seen[0]).reshape(side, side), np.array(seen[1])
         image[rays <= 0.0] = np.nan
-        yield image, rays, edges[:, [1, 0, 3, 2]] - 0.5
+        yield image, rays, edges[:, [1, 0, 3, 2]] - 0.5, np.zeros(len(edges), np.bool_)
 
 
-def figures(name: str, by: dict[float, list[Matches]], score: float) -> tuple[str, ...]:
+def field(folder: Path) -> Iterator[Picture]:
+    """Yield JKU's own integral pictures, which are of 30 photos each."""
+    for picture, boxes, spared in field_pictures(folder):
+        yield picture.astype(np.float32), np.full(picture.shape, 30.0, np.float32), boxes, spared
+
+
+def rows_of(ways: dict[str, Find], pictures: Iterable[Picture], gsd: float) -> list[Row]:
+    """Return a row of figures for each way of finding people in pictures of one sampling."""
+    matches: dict[str, dict[float, list[Matches]]] = {
+        name: {iou: [] for iou in IOUS} for name in ways
+    }
+    for image, rays, boxes, spared in pictures:
+        for name, find in ways.items():
+            found = find(image, rays, gsd)
+            for iou, own in matches[name].items():
+                one = match_boxes(found.boxes_xyxy, found.scores, boxes, iou, ignore=spared)
+                own.append(one)
+    return [(name, *figures(name, by)) for name, by in matches.items()]
+
+
+def figures(name: str, by: dict[float, list[Matches]]) -> Row:
     """Return average precisions, and precision and recall at the default threshold."""
     curves = {iou: Matches.join(own).curve() for iou, own in by.items()}
-    sure = np.flatnonzero(curves[0.25].scores >= score)
+    sure = np.flatnonzero(curves[0.25].scores >= Detector().score)
     known = not name.startswith("peaks") and sure.size > 0
     at = (curves[0.25].precision[sure[-1]], curves[0.25].recall[sure[-1]]) if known else ()
     aps = (cell(curves[iou].ap_coco101) for iou in IOUS)
     return (*aps, *(map(cell, at) if known else ("-", "-")))
 
 
-def none_yet(ways: dict[str, Find]) -> dict[str, dict[float, list[Matches]]]:
-    """Return room for the matches of each way of finding people."""
-    return {name: {iou: [] for iou in IOUS} for name in ways}
-
-
 def main() -> int:
+    parser = argparse.ArgumentParser(description="Who finds people in JKU's thermal images.")
+    parser.add_argument("f0", type=Path, help="a folder with all 382 photos and their poses.json")
+    parser.add_argument("field", type=Path, help="the folder with 0_29.png to 0_78.png")
+    asked = parser.parse_args()
     quiet_start()
-    score, ways, rows = Detector().score, contenders(), []
+    ways, forest = contenders(), []
+    flight = hsvaos.open_flight(asked.f0, fov_deg=FOV_DEG)
+    integrator = Integrator(flight.camera, np.stack(list(flight.images())), flight.poses)
     for gsd in SAMPLINGS_M:
-        matches = none_yet(ways)
-        for image, rays, truth in f0_pictures(sys.argv[1], gsd):
-            for name, find in ways.items():
-                found = find(image, rays, gsd)
-                for iou, own in matches[name].items():
-                    own.append(match_boxes(found.boxes_xyxy, found.scores, truth, iou))
-        rows += [(f"{gsd:g}", name, *figures(name, by, score)) for name, by in matches.items()]
-    head = ("m a pixel", "method", "AP .10", "AP .25", "AP .50", "precision", "recall")
+        rows = rows_of(ways, f0_pictures(flight, integrator, gsd), gsd)
+        forest += [(f"{gsd:g}", *row) for row in rows]
+    del ways["hsvaos"]  # nobody tells the sampling of the others
+    open_field = rows_of(ways, field(asked.field), FIELD_GSD_M)
+    head = ("method", "AP .10", "AP .25", "AP .50", "precision", "recall")
     text = [
         "# Real thermal photos\n",
         "Made by `python bench/thermal.py F0 FIELD`. Precision and recall are those at the default "
@@ -121,38 +141,20 @@ def main() -> int:
         "the network for grey images was made, and the sizes at which it looks were chosen by "
         "them.\n",
         "## Forest\n",
-        f"JKU's thermal flight F0, 382 photos of 512 x 512 over a forest with three people, in "
-        f"{len(list(parts(382)))} integral images: all photos, stretches of 60, and every sixth "
-        "one. Boxes were drawn by eye; people hardly to be seen in some stretches count too.\n",
-        markdown_table(head, rows),
+        f"JKU's thermal flight F0, {len(flight)} photos of 512 x 512 over a forest with three "
+        f"people, in {len(list(parts(len(flight))))} integral images: all photos, stretches of 60, "
+        "and every sixth one. Boxes were drawn by eye; people hardly to be seen in some stretches "
+        "count too.\n",
+        markdown_table(("m a pixel", *head), forest),
+        "## Open field\n",
+        f"{LAST - FIRST + 1} integral pictures as JKU published them (see "
+        f"`bench/thermal_field.py`): one person, who is in {len(PERSON_PX)} of them. Their "
+        f"sampling is not told; where a method must know one it is told {FIELD_GSD_M:g} m.\n",
+        markdown_table(head, open_field),
     ]
-    if len(sys.argv) > 2:
-        text += ["\n## Open field\n", *of_field(Path(sys.argv[2]), ways, score)]
     PAGE.write_text("\n".join(text).rstrip() + "\n", encoding="utf-8")
     print(PAGE.read_text(encoding="utf-8"))
     return 0
-
-
-def of_field(folder: Path, ways: dict[str, Find], score: float) -> list[str]:
-    """Return what JKU's own integral pictures of an open field give, for the page."""
-    alone = {name: find for name, find in ways.items() if name != "hsvaos"}
-    matches, count = none_yet(alone), 0
-    for picture, boxes, spared in field_pictures(folder):
-        rays = np.ones(picture.shape, np.float32)
-        for name, find in alone.items():
-            found = find(picture.astype(np.float32), 100.0 * rays, FIELD_GSD_M)
-            for iou, own in matches[name].items():
-                part = match_boxes(found.boxes_xyxy, found.scores, boxes, iou, ignore=spared)
-                own.append(part)
-        count += 1
-    rows = [(name, *figures(name, by, score)) for name, by in matches.items()]
-    head = ("method", "AP .10", "AP .25", "AP .50", "precision", "recall")
-    return [
-        f"{count} integral pictures as JKU published them (see `bench/thermal_field.py`): one "
-        f"person, who is in {len(PERSON_PX)} of them. Their sampling is not told; where a method "
-        f"must know one it is told {FIELD_GSD_M:g} m.\n",
-        markdown_table(head, rows),
-    ]
 
 
 if __name__ == "__main__":

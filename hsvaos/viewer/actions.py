@@ -117,7 +117,11 @@ class Actions:
             tab.tell(put)
             self._go_to_terrain()
 
-        tab.live.background(tab, "relief", job, tab.failed)
+        def failed(error: Exception) -> None:
+            c.terrain.value = False  # the box says what is shown
+            tab.failed(error)
+
+        tab.live.background(tab, "relief", job, failed)
 
     def _go_to_terrain(self) -> None:
         tab, c = self.tab, self.tab.controls

@@ -98,7 +98,7 @@ class Controls:
         if on == self.on_terrain:
             return
         shift = -session.ground_m if on else session.ground_m
-        first, last = depth_range(session, on)
+        first, last = _depth_range(session, on)
         self.on_terrain = on
         down = round(min(max(self.depth.value + shift, first), last), 2)
         for slider, value in ((self.depth, down), (self.film_span, (first, last))):
@@ -144,6 +144,11 @@ class Controls:
         )
 
 
+def _depth_range(session: Session, on_terrain: bool) -> tuple[float, float]:
+    first, last = session.depth_range(on_terrain)
+    return round(first, 2), round(last, 2)
+
+
 def build(client: viser.ClientHandle, session: Session, ground_m: float) -> Controls:
     """Put the panel into a browser tab.
 
@@ -166,23 +171,9 @@ def build(client: viser.ClientHandle, session: Session, ground_m: float) -> Cont
     return Controls(**h)
 
 
-def depth_range(session: Session, on_terrain: bool) -> tuple[float, float]:
-    """Return the depths between which sliders go [m].
-
-    Args:
-        session: The flight.
-        on_terrain: Whether depths count from the terrain.
-    """
-    first, last = (round(depth, 2) for depth in session.depths)
-    if not on_terrain:
-        return first, last
-    half = round(0.5 * (last - first), 2)
-    return -half, half
-
-
 def _focus(gui: viser.GuiApi, session: Session, h: dict[str, Any]) -> None:
     start = session.start
-    first, last = depth_range(session, start.terrain)
+    first, last = _depth_range(session, start.terrain)
     tilt, step, down = MOST_TILT_DEG, 0.05, round(start.down_m, 2)
     h["depth"] = gui.add_slider(
         "Depth [m]",
@@ -287,7 +278,7 @@ def _photos(gui: viser.GuiApi, session: Session, ground_m: float, h: dict[str, A
 
 
 def _save(gui: viser.GuiApi, session: Session, h: dict[str, Any]) -> None:
-    span = depth_range(session, session.start.terrain)
+    span = _depth_range(session, session.start.terrain)
     h["save_png"] = gui.add_button("Picture (PNG)")
     h["save_toml"] = gui.add_button("Settings (TOML)", hint="For hsvaos run --settings FILE.")
     with gui.add_folder("Film through the depths"):

@@ -64,9 +64,7 @@ class PlainApp(PageServer):
     def page(self) -> bytes:
         """Return the page."""
         session = self.session
-        first, last = session.depths
-        if session.start.terrain:
-            first, last = -0.5 * (last - first), 0.5 * (last - first)
+        first, last = session.depth_range(session.start.terrain)
         mask = session.settings.mask
         text = Template(_PAGE.read_text(encoding="utf-8")).substitute(
             name=escape(session.flight.name),

@@ -138,6 +138,16 @@ class Session:
         height = max(ground - lowest, 1.0)
         return ground - 0.9 * height, ground + 0.35 * height
 
+    def depth_range(self, on_terrain: bool) -> tuple[float, float]:
+        """Return the depths between which sliders go [m].
+
+        Args:
+            on_terrain: Whether depths count from the terrain; else they are those of a plane.
+        """
+        first, last = self.depths
+        half = 0.5 * (last - first)
+        return (-half, half) if on_terrain else (first, last)
+
     @property
     def may_find_relief(self) -> bool:
         """Whether the relief of the ground can be looked for: colour photos, and no terrain yet."""
@@ -164,20 +174,18 @@ class Session:
 
         Raises:
             Abandoned: If it is no longer wanted.
-            FlightError: If there is none to find: grey photos, or a terrain is there.
+            FlightError: If it cannot be looked for, see `may_find_relief`.
         """
         if not self.may_find_relief:
+            what = "grey photos" if not self.photos.is_colour else "a terrain"
             raise FlightError(
                 f"{self.flight.source}: the relief of the ground is found in RGB photos, about a "
-                f"focal plane; this flight has {'a terrain' if self.start.terrain else 'none'}"
+                f"focal plane, got {self.no_parallax or what}"
             )
         with self._finding_relief:
             if self._relief is None:
                 ground = self.weights.ground(mask, self._gsd_m, wanted, progress)
-                plane = self.surface(self.start)
-                if not isinstance(plane, FocalPlane):
-                    raise TypeError(f"a session without terrain starts on a plane, got {plane!r}")
-                gains = self.weights.gains
+                plane, gains = self._plane(self.start), self.weights.gains
                 self._relief = find_relief(self.photos, ground, gains, plane, progress)
                 self.terrain = self._relief[0]
             return self._relief[1]
@@ -192,6 +200,9 @@ class Session:
             if self.terrain is None:
                 raise FlightError(f"{self.flight.source}: there is no terrain: give --terrain FILE")
             return shifted(self.terrain, focus.down_m)
+        return self._plane(focus)
+
+    def _plane(self, focus: Focus) -> FocalPlane:
         tilt = FocusSettings(pitch_deg=focus.pitch_deg, roll_deg=focus.roll_deg)
         return tilted_plane(self.flight, focus.down_m, tilt)
 

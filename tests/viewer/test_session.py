@@ -225,8 +225,12 @@ def test_finds_are_those_of_a_run() -> None:
     assert sorted(f.score for f in session.finds(there)) == pytest.approx(
         sorted(result.main.detections.scores.tolist())
     )
-    saved = settings_of(session, there).focus
-    assert (saved.down_m, saved.relief, saved.terrain) == (session.start.down_m, True, None)
+    saved = settings_of(session, there)
+    assert (saved.focus.down_m, saved.focus.relief) == (session.start.down_m, True)
+    again = hsvaos.run(flight, saved.with_values(detect={"enabled": False}))
+    assert isinstance(again.surface, hsvaos.FocalTerrain)
+    assert session.terrain is not None
+    np.testing.assert_allclose(again.surface.down_m, session.terrain.down_m, atol=1e-4)
     assert "does not shift it" in settings_toml(
         session, replace(there, focus=Focus(1.0, 0, 0, True))
     )
@@ -235,7 +239,9 @@ def test_finds_are_those_of_a_run() -> None:
 
 def test_no_relief_is_found_in_grey_photos(grey: Session) -> None:
     assert not grey.may_find_relief
-    with pytest.raises(FlightError, match="found in RGB photos, about a focal plane"):
+    with pytest.raises(
+        FlightError, match="found in RGB photos, about a focal plane, got grey photos"
+    ):
         grey.find_relief(grey.settings.mask)
 
 
