@@ -8,7 +8,8 @@
 
 Every twelfth stored pose is a virtual camera, drawn at 5 cm a pixel, the sampling at which the
 network looks anyway. A ground point shows the same from all of them, so more views are not more
-evidence.
+evidence. For persons on the ground come as many more stored poses as it takes to see whom any
+stored pose sees.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ from hsvaos.detect.surroundings import REACH_M, with_surroundings
 from hsvaos.detect.yolo import PACKAGED, Detector
 from hsvaos.evaluate.results import FlightResult, JudgedView
 from hsvaos.evaluate.seen import ground_seen_ha
-from hsvaos.evaluate.truth import read_truth, truth_boxes
+from hsvaos.evaluate.truth import TruthPerson, read_truth, truth_boxes
+from hsvaos.finding import Scores
 from hsvaos.flight import Flight
 from hsvaos.formats.poses import read_poses
 from hsvaos.ground_map import GroundMap, Layer, grid_for
@@ -46,6 +48,7 @@ from hsvaos.relief.find import find_relief
 from hsvaos.rendering import evidence_integrators, look_at_photos, make_integrators
 from hsvaos.settings import DetectSettings, Settings, ViewSettings
 from hsvaos.surface import FocalPlane, FocalSurface
+from hsvaos.viewing import covering_poses
 
 try:
     from paper_flights import FIRST_SEED  # run as a script
@@ -75,7 +78,7 @@ class Method:
 
     Args:
         find: Called with the layers of a view; returns boxes down to weak ones.
-        score: Score from which a box is reported.
+        scores: From which a box is reported, and from which it counts for a person.
         tracks: Poses with which it is tried.
         everywhere: Whether on all seeds, or only on those of the ablation.
         wide: Whether it sees what lies around a view, as `hsvaos.run` shows it.
@@ -84,11 +87,40 @@ class Method:
     """
 
     find: Callable[[Layers], Detections]
-    score: float
+    scores: Scores
     tracks: tuple[str, ...] = ("true",)
     everywhere: bool = False
     wide: bool = False
     relief: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What a method finds in a flight.
+
+    Args:
+        name: Of the flight.
+        judged: The views that boxes are judged in.
+        finds: Of these views and of those that are looked at for persons only, down to weak ones.
+        people: The truth.
+        area_ha: Ground that the photos see [ha].
+    """
+
+    name: str
+    judged: tuple[JudgedView, ...]
+    finds: tuple[ViewFinds, ...]
+    people: tuple[TruthPerson, ...]
+    area_ha: float
+
+    def result(self, person_score: float) -> FlightResult:
+        """Return the result, with the persons that a score makes.
+
+        Args:
+            person_score: From which a find counts for a person.
+        """
+        detect, kept = DetectSettings(), [one.above(person_score) for one in self.finds]
+        persons = merge_views(kept, detect.person_m, person_score * detect.min_agreement, None)
+        return FlightResult(self.name, self.judged, persons, self.people, self.area_ha)
 
 
 def methods(coco: Path | None = None) -> dict[str, Method]:
@@ -99,7 +131,8 @@ def methods(coco: Path | None = None) -> dict[str, Method]:
             since people are 10 x 34 pixels here.
     """
     detector = Detector(score=FLOOR)
-    score = Detector().score
+    own = Detector()
+    score = Scores(own.score, own.person_score)
     once = Detector(PACKAGED.read_bytes(), score=FLOOR)
     peaks = DetectSettings()
 
@@ -137,7 +170,7 @@ def methods(coco: Path | None = None) -> dict[str, Method]:
 
     def of_coco() -> dict[str, Method]:
         network = Detector(coco, score=FLOOR, slice_px=COCO_WINDOW_PX)
-        score = Detector(coco).score
+        score = Scores(Detector(coco).score, Detector(coco).person_score)
 
         def find(name: str) -> Callable[[Layers], Detections]:
             return lambda layers: network.detect(layers[name][0])
@@ -170,8 +203,8 @@ def methods(coco: Path | None = None) -> dict[str, Method]:
             everything(agreeing=False), score, wide=True, relief=True
         ),
         "all but ground": Method(everything(ground=False), score, wide=True, relief=True),
-        "peaks of rarity": Method(of_peaks("rarity_map"), peaks.min_z),
-        "peaks of RX": Method(of_peaks("anomaly_map"), peaks.min_z),
+        "peaks of rarity": Method(of_peaks("rarity_map"), Scores(peaks.min_z, peaks.min_z)),
+        "peaks of RX": Method(of_peaks("anomaly_map"), Scores(peaks.min_z, peaks.min_z)),
         **({} if coco is None else of_coco()),
     }
 
@@ -198,8 +231,8 @@ def integrators(
 
 def measure(
     folder: Path, wanted: Mapping[str, Mapping[str, Method]], device: str = "cpu"
-) -> Iterator[tuple[str, str, FlightResult]]:
-    """Yield track, method and result of every method that is wanted with these poses."""
+) -> Iterator[tuple[str, str, Measured]]:
+    """Yield track, method and what was found by every method that is wanted with these poses."""
     true = hsvaos.open_flight(folder)
     photos = load_photos(true, device=device)
     ablation = any(not m.everywhere for methods in wanted.values() for m in methods.values())
@@ -216,8 +249,8 @@ def measure(
         if any(method.relief for method in use.values()):
             relief, _ = find_relief(there, evidence.ground, masks.gains, plane)
             surfaces[True] = relief or plane
-        for name, result in _measure_track(true, flight, by_name, surfaces, use).items():
-            yield track, name, result
+        for name, found in _measure_track(true, flight, by_name, surfaces, use).items():
+            yield track, name, found
 
 
 def _measure_track(
@@ -226,8 +259,8 @@ def _measure_track(
     by_name: dict[str, Integrator],
     surfaces: Mapping[bool, FocalSurface],
     use: Mapping[str, Method],
-) -> dict[str, FlightResult]:
-    """Return the result of every method with the poses of a flight.
+) -> dict[str, Measured]:
+    """Return what every method finds with the poses of a flight.
 
     Args:
         true: The flight with its truth.
@@ -237,7 +270,8 @@ def _measure_track(
         use: The methods.
     """
     people = read_truth(true)
-    chosen = range(0, len(flight), STRIDE)
+    judged_poses = range(0, len(flight), STRIDE)
+    chosen = [*judged_poses, *covering_poses(flight, surfaces[False], judged_poses)]
     side = round(flight.camera.width * _shrink(flight))
     small = flight.camera.without_distortion().scaled(side, side)
     views = [VirtualCamera(small, flight.poses[k]) for k in chosen]
@@ -251,7 +285,7 @@ def _measure_track(
     }
     area = ground_seen_ha(flight, surfaces[False])
     judged: dict[str, list[JudgedView]] = {name: [] for name in use}
-    reported: dict[str, list[ViewFinds]] = {name: [] for name in use}
+    finds: dict[str, list[ViewFinds]] = {name: [] for name in use}
     for k, view in zip(chosen, views, strict=True):
         around = with_surroundings(view, GSD_M, REACH_M)
         truth = truth_boxes(people, view)
@@ -266,24 +300,12 @@ def _measure_track(
                 if method.relief != which:
                     continue
                 found = around.within(method.find(seen)) if method.wide else method.find(cut)
-                judged[name].append(JudgedView(flight.frames[k].name, found, truth))
-                sure = found.above(method.score)
-                reported[name].append(ViewFinds(view, sure, *box_places(sure, own_hits, view)))
-    detect = DetectSettings()
+                if k in judged_poses:
+                    judged[name].append(JudgedView(flight.frames[k].name, found, truth))
+                finds[name].append(ViewFinds(view, found, *box_places(found, own_hits, view)))
     return {
-        name: FlightResult(
-            true.name,
-            tuple(judged[name]),
-            merge_views(
-                reported[name],
-                detect.person_m,
-                method.score * detect.min_agreement,
-                flight.origin,
-            ),
-            people,
-            area,
-        )
-        for name, method in use.items()
+        name: Measured(true.name, tuple(judged[name]), tuple(finds[name]), people, area)
+        for name in use
     }
 
 
@@ -349,10 +371,10 @@ def run(
 
 def _measure_all(folder: Path, wanted: dict[str, dict[str, Method]], results: Path) -> None:
     began = time.monotonic()
-    for track, name, result in measure(folder, wanted):
+    for track, name, found in measure(folder, wanted):
         path = _file(results, folder.name, track, name)
         partial = path.with_suffix(".part")
-        partial.write_text(result.to_json())
+        partial.write_text(found.result(wanted[track][name].scores.of_persons).to_json())
         partial.replace(path)
     count = sum(len(use) for use in wanted.values())
     print(f"{folder.name}, {count} results: {time.monotonic() - began:.0f} s", flush=True)

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hsvaos.detect.anomaly import find_persons
 from hsvaos.detect.detections import Detections
 from hsvaos.detect.network_input import PHOTO_LAYERS
 from hsvaos.detect.surroundings import REACH_M
 from hsvaos.settings import DetectSettings
+
+if TYPE_CHECKING:
+    from hsvaos.detect.yolo import Detector
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,16 +24,24 @@ class Finder:
         layers: Names of the layers it looks at: "plain", "chosen", "rarity", "rarity_map",
             "anomaly_map", "coherence", "fragments", "fragment_coherence", "ground"; the last three
             where there are some.
-        least_score: Score below which a person, seen over all views, is left out.
+        scores: From which a find is reported in its view, and from which it counts for a person.
+        min_agreement: Share of the second that a person's score, the mean over all views, must
+            reach.
         find: Called with layers by name, each (image, footprint), and the ground sampling distance
             [m/px].
         reach_m: How far beyond the border of a view it wants to see [m].
     """
 
     layers: tuple[str, ...]
-    least_score: float
+    scores: Scores
+    min_agreement: float
     find: Callable[[Mapping[str, Any], float], Detections]
     reach_m: float = 0.0
+
+    @property
+    def least_score(self) -> float:
+        """Score below which a person, seen over all views, is left out."""
+        return self.scores.of_persons * self.min_agreement
 
     @property
     def looks_at_photos(self) -> bool:
@@ -47,8 +58,23 @@ class Finder:
         return self.find(layers, gsd_m)
 
 
-def operating_score(settings: DetectSettings) -> float:
-    """Return the score from which a find is reported.
+class Scores(NamedTuple):
+    """From which scores finds count.
+
+    What one view shows is judged alone, so few of its boxes may be wrong. A person may be less
+    sure: who searches would rather go and look at one place too many in a flight.
+
+    Attributes:
+        of_boxes: In its view.
+        of_persons: For a person over all views.
+    """
+
+    of_boxes: float
+    of_persons: float
+
+
+def operating_scores(settings: DetectSettings) -> Scores:
+    """Return the scores from which finds count.
 
     Args:
         settings: The method and its thresholds.
@@ -57,12 +83,18 @@ def operating_score(settings: DetectSettings) -> float:
         ValueError: If the threshold is the network's own and that cannot be read.
     """
     if settings.method != "network":
-        return settings.min_z
-    if settings.min_score is not None:
-        return settings.min_score
+        return Scores(settings.min_z, settings.min_z)
+    score = settings.min_score
+    if score is not None:  # nothing need be read for that
+        return Scores(score, score if settings.person_score is None else settings.person_score)
     from hsvaos.detect.yolo import Detector
 
-    return Detector(settings.model, settings.layout).score
+    return _asked(settings, Detector(settings.model, settings.layout))
+
+
+def _asked(settings: DetectSettings, detector: Detector) -> Scores:
+    own = settings.person_score
+    return Scores(detector.score, detector.person_score if own is None else own)
 
 
 def make_finder(settings: DetectSettings, photos: int, threads: int | None = None) -> Finder | None:
@@ -87,15 +119,16 @@ def make_finder(settings: DetectSettings, photos: int, threads: int | None = Non
         values, rays = layers[layer]
         return find_persons(values[..., 0], rays, gsd_m, enough)
 
-    return Finder((layer,), settings.min_z * settings.min_agreement, find)
+    return Finder((layer,), operating_scores(settings), settings.min_agreement, find)
 
 
 def _network_finder(settings: DetectSettings, threads: int | None) -> Finder:
     from hsvaos.detect.yolo import Detector
 
     detector = Detector(settings.model, settings.layout, score=settings.min_score, threads=threads)
+    scores = _asked(settings, detector)
+    least = min(scores)
     reach_m = REACH_M if detector.layout == "hsvaos" else 0.0
-    least = detector.score * settings.min_agreement
 
     def best(found: Detections) -> Detections:
         kept = slice(settings.max_finds)
@@ -103,7 +136,7 @@ def _network_finder(settings: DetectSettings, threads: int | None) -> Finder:
 
     def find_in_image(layers: Mapping[str, Any], gsd_m: float) -> Detections:
         image, footprint = layers["chosen"]
-        return best(detector.detect(image, footprint=footprint, gsd_m=gsd_m))
+        return best(detector.detect(image, footprint=footprint, gsd_m=gsd_m, score=least))
 
     def find_in_all(layers: Mapping[str, Any], gsd_m: float) -> Detections:
         rarity, rays = layers["rarity_map"]
@@ -117,12 +150,13 @@ def _network_finder(settings: DetectSettings, threads: int | None) -> Finder:
             fragment_coherence=layers.get("fragment_coherence"),
             ground=layers.get("ground"),
             gsd_m=gsd_m,
+            score=least,
         )
         return best(found)
 
     if settings.inputs == "image" or detector.layout != "hsvaos":
-        return Finder(("chosen",), least, find_in_image, reach_m)
+        return Finder(("chosen",), scores, settings.min_agreement, find_in_image, reach_m)
     looked_at: tuple[str, ...] = ("rarity_map", "rarity", "plain", "coherence")
     if settings.inputs == "all":
         looked_at = (*looked_at, *detector.photo_layers)
-    return Finder(looked_at, least, find_in_all, reach_m)
+    return Finder(looked_at, scores, settings.min_agreement, find_in_all, reach_m)

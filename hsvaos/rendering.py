@@ -133,6 +133,9 @@ class Renderer:
             view: The virtual camera.
             extra: Whether to render the other masks' integral images too, for the report.
 
+        Returns:
+            The view with what is found in it, and what counts for persons, where it lies.
+
         Raises:
             FlightError: If the view sees nothing, or every pixel of it is masked.
         """
@@ -169,8 +172,11 @@ class Renderer:
         if "fragments" in layers:
             pieces = around.cut(layers["fragments"][0][..., 0] / ONE)
         maps = (mean_weight[..., 0], rays)
-        result = ViewResult(name, view, image, footprint, *maps, found, others, pieces)
-        return result, ViewFinds(view, found, places, covariances)
+        finds = ViewFinds(view, found, places, covariances)
+        if self.finder is not None:
+            scores = self.finder.scores
+            found, finds = found.above(scores.of_boxes), finds.above(scores.of_persons)
+        return ViewResult(name, view, image, footprint, *maps, found, others, pieces), finds
 
     def _surroundings(self, view: VirtualCamera) -> Surroundings:
         if self.finder is None or self.finder.reach_m == 0.0 or view.camera is None:

@@ -197,13 +197,15 @@ class DetectSettings:
         model: File of another network (ONNX); by default the one in the package.
         layout: What its outputs mean, see `hsvaos.Detector`.
         min_score: Score of the network from which a box is a find; by default the model's own.
+        person_score: Score from which a box counts for a person over all views, where it may be
+            less sure; by default min_score if that is given, else the model's own.
         min_z: Local z from which a peak is a find.
         person_m: Length of a person, the size of a find's surround and of its box [m].
         min_rays: Rays a pixel needs to be judged by peaks; half the number of photos is always
             enough.
         max_finds: Strongest finds kept in a view.
-        min_agreement: Share of min_score or min_z that a person's score, the mean over all views
-            that hold its place, must reach.
+        min_agreement: Share of person_score or min_z that a person's score, the mean over all
+            views that hold its place, must reach.
     """
 
     enabled: bool = True
@@ -212,6 +214,7 @@ class DetectSettings:
     model: str | None = None
     layout: str = "auto"
     min_score: float | None = None
+    person_score: float | None = None
     min_z: float = 6.0
     person_m: float = 1.8
     min_rays: float = 6.0
@@ -222,8 +225,9 @@ class DetectSettings:
         _check_types(self, "detect")
         _one_of(self.method, "detect.method", DETECTORS)
         _one_of(self.inputs, "detect.inputs", ("all", "integrals", "image"))
-        score = self.min_score
-        _require(score is None or 0.0 < score < 1.0, "detect.min_score", "in (0, 1)", score)
+        for name in ("min_score", "person_score"):
+            score = getattr(self, name)
+            _require(score is None or 0.0 < score < 1.0, f"detect.{name}", "in (0, 1)", score)
         _require(self.min_z > 0.0, "detect.min_z", "a positive number", self.min_z)
         _require(self.person_m > 0.0, "detect.person_m", "a positive length", self.person_m)
         _require(self.min_rays >= 0.0, "detect.min_rays", "0 or more", self.min_rays)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +18,14 @@ _DEFAULT_GRID_PX = 16_000_000
 
 _REACH = 4.0
 """Ground farther away than this many heights is left out of the grid: a horizon has no end."""
+
+
+_SQUARE_M = 1.0
+_MARGIN_M = 0.9
+"""Half a person: who lies at a border is not seen whole."""
+
+_NOT_HELD = 0.02
+"""Share of the ground that may be in none of the views: strips at the border of all."""
 
 
 def choose_views(
@@ -94,6 +104,55 @@ def ground_grid(flight: Flight, surface: FocalSurface, gsd_m: float | None) -> V
             f"{_MAX_GRID_PX / 1e6:.0f} million: give a larger --gsd"
         )
     return VirtualCamera.ortho(float(north), float(west), gsd, width, height_px)
+
+
+def covering_poses(flight: Flight, surface: FocalSurface, first: Sequence[int] = ()) -> list[int]:
+    """Return the frames whose views, with some chosen before, hold what any frame's view holds.
+
+    Greedily, each the one that adds most, until 98 % of the square metres of ground are held, a
+    metre from a view's border. One view sees as much of a place as another: more are not needed.
+
+    Args:
+        flight: The flight, with poses.
+        surface: The focal surface; a terrain counts as level at its middle.
+        first: Numbers of frames chosen before.
+
+    Returns:
+        Numbers of the other frames, those that add most first.
+
+    Raises:
+        FlightError: If the photos see no ground.
+    """
+    grid = ground_grid(flight, surface, _SQUARE_M)
+    corner, level = grid.world_from_camera[:2, 3], _level(surface)
+    rows, columns = (k.ravel().astype(np.float64) for k in np.indices((grid.height, grid.width)))
+    places = np.stack(
+        [
+            corner[0] - grid.gsd_m * rows,
+            corner[1] + grid.gsd_m * columns,
+            np.full(rows.size, level),
+        ],
+        axis=1,
+    )
+    held = np.array([_holds(flight.view(index), places) for index in range(len(flight))])
+    whole = held.any(axis=0)
+    missing = whole & ~held[list(first)].any(axis=0)
+    others: list[int] = []
+    while missing.sum() > _NOT_HELD * whole.sum():
+        others.append(int((held & missing).sum(axis=1).argmax()))
+        missing &= ~held[others[-1]]
+    return others
+
+
+def _holds(view: VirtualCamera, places: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which places a view holds, with some distance to its border."""
+    if view.camera is None:
+        raise ValueError("expected the view of a frame, got a ground grid")
+    ahead = (places - view.world_from_camera[:3, 3]) @ view.world_from_camera[:3, 2]
+    margin = _MARGIN_M * view.camera.fx / np.maximum(ahead, 1e-6)
+    u, v = view.project(places).T
+    inside = (u >= margin) & (u <= view.width - 1.0 - margin)
+    return np.asarray(inside & (v >= margin) & (v <= view.height - 1.0 - margin) & (ahead > 0.0))
 
 
 def sees_horizon(flight: Flight) -> bool:

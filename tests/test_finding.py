@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from hsvaos.finding import make_finder, operating_score
+from hsvaos.finding import make_finder, operating_scores
 from hsvaos.settings import DetectSettings
 
 pytest.importorskip("onnx", reason="needs pip install 'hsvaos[test]'")
 
 from hsvaos.detect.network_input import CHANNELS, photo_layers
-from tests.detect.nets import own_net
+from tests.detect.nets import OWN, own_net
 
 SIZE = (160, 192)
 ALL_LAYERS = {
@@ -148,12 +148,35 @@ def test_peaks_need_no_weights(method):
 
 def test_scores_from_which_finds_are_reported(red_net):
     model = red_net("red")
-    assert operating_score(settings(model=model)) == pytest.approx(0.4)
-    assert operating_score(settings(model=model, min_score=0.2)) == 0.2
-    assert operating_score(DetectSettings(method="rarity", min_z=7.0)) == 7.0
-    finder = make_finder(settings(model=model, min_score=0.6), 30)
-    assert finder.least_score == pytest.approx(0.3)
+    assert operating_scores(settings(model=model)) == pytest.approx((0.4, 0.4))
+    assert operating_scores(settings(model=model, min_score=0.2)) == (0.2, 0.2)
+    assert operating_scores(settings(model=model, person_score=0.3)) == (pytest.approx(0.4), 0.3)
+    assert operating_scores(settings(min_score=0.6, person_score=0.2)) == (0.6, 0.2)
+    assert operating_scores(DetectSettings(method="rarity", min_z=7.0)) == (7.0, 7.0)
+    for values in ({}, {"person_score": 0.3}, {"min_score": 0.6}):
+        asked = settings(model=model, **values)
+        finder = make_finder(asked, 30)
+        assert finder.scores == operating_scores(asked)
+        assert finder.least_score == 0.5 * finder.scores.of_persons
     assert make_finder(settings(enabled=False), 30) is None
+
+
+def test_persons_may_be_less_sure_than_boxes(tmp_path):
+    path = tmp_path / "own.onnx"
+    path.write_bytes(
+        own_net([8.0], -5.0, metadata={**OWN, "person_score_threshold": "0.2"})  # sees red
+    )
+    asked = settings(model=str(path))
+    assert operating_scores(asked) == pytest.approx((0.4, 0.2))
+    shown = layers()
+    faint = shown["rarity"][0][64:80, 96:112, 0]
+    for strength in np.linspace(1.0, 2.0, 41):
+        faint[:] = 80.0 * strength
+        scores = make_finder(asked, 30)(shown, 0.05).scores
+        if len(scores):
+            break
+    assert 0.2 <= scores[0] < 0.4
+    assert len(make_finder(settings(model=str(path), min_score=0.4), 30)(shown, 0.05)) == 0
 
 
 def test_a_network_that_is_none_is_refused(tmp_path):

@@ -5,6 +5,8 @@ import pytest
 
 import hsvaos
 from hsvaos.demo import demo_flight
+from hsvaos.detect.anomaly import find_persons
+from hsvaos.finding import Finder, Scores
 from hsvaos.ground_map import grid_for
 from hsvaos.kernels.rays import focal_points
 from hsvaos.masking import make_masks
@@ -50,6 +52,31 @@ def test_views_from_the_ground_are_those_of_the_photos(demo, kind):
         assert np.abs(a.integral - b.integral)[both].mean() < 0.25 * contrast
         assert np.corrcoef(a.integral[both].ravel(), b.integral[both].ravel())[0, 1] > 0.97
         assert abs(np.median((a.rarity_map - b.rarity_map)[both])) < 2e-3
+
+
+def test_what_counts_for_persons_only_is_no_box_of_its_view(demo):
+    flight, by, settings = demo
+    surface = FocalPlane(flight.ground_down_m)
+    low = settings.with_values(detect={"min_z": 2.0}).detect
+
+    def find(layers, gsd_m):
+        values, rays = layers["rarity_map"]
+        return find_persons(values[..., 0], rays, gsd_m, low)
+
+    def rendered(scores):
+        finder = Finder(("rarity_map",), scores, 0.5, find)
+        return Renderer(by, settings, surface, finder).render("one", flight.view(3))
+
+    view, finds = rendered(Scores(6.0, 3.0))
+    assert 0 < len(view.detections) < len(finds.found)
+    assert view.detections.scores.min() >= 6.0
+    assert 3.0 <= finds.found.scores.min() < 6.0
+    assert len(finds.places) == len(finds.covariances) == len(finds.found)
+    sure = finds.above(6.0)
+    np.testing.assert_array_equal(sure.found.boxes_xyxy, view.detections.boxes_xyxy)
+    again, stricter = rendered(Scores(3.0, 6.0))  # the other way round
+    np.testing.assert_array_equal(stricter.places, sure.places)
+    assert len(again.detections) == len(finds.found)
 
 
 def test_no_ground_where_it_cannot_stand_for_the_views(demo):

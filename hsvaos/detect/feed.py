@@ -80,6 +80,7 @@ class PhotoFeed:
 
     Attributes:
         score: Score from which a box counts, by default.
+        person_score: The same.
         photo_layers: None.
         scales: 1: a view is looked at once.
 
@@ -96,7 +97,7 @@ class PhotoFeed:
     def __init__(
         self, network: Network, layout: Layout, size_px: int | None, slice_px: int | None
     ) -> None:
-        self.score = layout.score
+        self.score = self.person_score = layout.score
         self.photo_layers: tuple[str, ...] = ()
         self.scales: tuple[float, ...] = (1.0,)
         self._layout = layout
@@ -132,6 +133,7 @@ class OwnFeed:
 
     Attributes:
         score: Score from which a box counts, by default.
+        person_score: The same for a person over all views of a flight.
         photo_layers: What of single photos the network looks at: some of "fragments",
             "fragment_coherence" and "ground".
         scales: Sizes at which a view is looked at, as factors on its sides: two of grey ones.
@@ -154,7 +156,8 @@ class OwnFeed:
         known = GREY_CHANNELS if self._grey else CHANNELS
         self._channels = [known.index(name) for name in names]
         self.photo_layers = photo_layers(names)
-        self.score = _threshold(network, layout.score)
+        self.score = _threshold(network, "score_threshold", layout.score)
+        self.person_score = _threshold(network, "person_score_threshold", self.score)
         self._gsd_m, self._aim_m = _trained_gsd(network)
         self._fixed = network.picture.shape[2:]
         height, width = (
@@ -216,15 +219,15 @@ def _pair(image: Array | None, coherence: Array | None) -> tuple[Array, Array] |
     return None if image is None or coherence is None else (image, coherence)
 
 
-def _threshold(network: Network, default: float) -> float:
-    text = network.metadata.get("score_threshold", str(default))
+def _threshold(network: Network, name: str, default: float) -> float:
+    text = network.metadata.get(name, str(default))
     try:
         value = float(text)
     except ValueError:
         value = -1.0
     if not 0.0 <= value <= 1.0:
         raise ValueError(
-            f"{network.name}: expected score_threshold from 0 to 1 in the metadata, got {text!r}"
+            f"{network.name}: expected {name} from 0 to 1 in the metadata, got {text!r}"
         )
     return value
 

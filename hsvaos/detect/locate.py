@@ -147,6 +147,12 @@ class ViewFinds:
     places: Points
     covariances: Points
 
+    def above(self, score: float) -> ViewFinds:
+        """Return those that score at least so much."""
+        kept = self.found.scores >= score
+        places, covariances = self.places[kept], self.covariances[kept]
+        return ViewFinds(self.view, self.found.above(score), places, covariances)
+
 
 class _Find(NamedTuple):
     score: float

@@ -44,6 +44,7 @@ class Detector:
         provider: Where it runs: "cuda", "tensorrt" or "cpu".
         people: Numbers of the classes that count as people.
         score: Score from which a box counts.
+        person_score: Score from which one counts for a person over all views of a flight.
         notes: What was assumed or could not be used, one line each.
         photo_layers: What `detect` takes of single photos and the network looks at: some of
             "fragments", "fragment_coherence" and "ground".
@@ -119,6 +120,7 @@ class Detector:
             self._feed = PhotoFeed(self._network, self._layout, side, part)
         self.photo_layers = self._feed.photo_layers
         self.score = self._feed.score if score is None else _share(score, "score")
+        self.person_score = self._feed.person_score if score is None else self.score
         self._to_look_again: Callable[[], SecondLook] | None = None
         if packaged and PACKAGED_SECOND_LOOK.is_file():
             self._to_look_again = lambda: SecondLook(PACKAGED_SECOND_LOOK, provider, threads)
@@ -156,6 +158,7 @@ class Detector:
         fragment_coherence: tuple[ArrayLike, ArrayLike] | None = None,
         ground: tuple[ArrayLike, ArrayLike] | None = None,
         gsd_m: float | None = None,
+        score: float | None = None,
     ) -> Detections:
         """Find the people in one view.
 
@@ -177,6 +180,7 @@ class Detector:
             gsd_m: Ground sampling distance [m/px]. Our own networks take 0.045 to 0.09, of grey
                 images 0.07 to 0.146: beyond that the view is resampled. By default it is taken as
                 it is. Grey images are looked at once more at .7 of that size.
+            score: Least score, 0..1; by default the detector's.
 
         Returns:
             People, strongest first; scores are probabilities, all class ids 0.
@@ -195,6 +199,7 @@ class Detector:
             fragment_coherences=None if fragment_coherence is None else [fragment_coherence],
             grounds=None if ground is None else [ground],
             gsd_m=gsd_m,
+            score=score,
         )[0]
 
     def detect_batch(
@@ -209,6 +214,7 @@ class Detector:
         fragment_coherences: Sequence[tuple[ArrayLike, ArrayLike] | None] | None = None,
         grounds: Sequence[tuple[ArrayLike, ArrayLike] | None] | None = None,
         gsd_m: float | Sequence[float | None] | None = None,
+        score: float | None = None,
     ) -> list[Detections]:
         """Find the people in several views, several at a time where the network allows it.
 
@@ -222,6 +228,7 @@ class Detector:
             fragment_coherences: One pair a view, or None.
             grounds: One pair a view, or None.
             gsd_m: For all views, or one a view [m/px].
+            score: Least score, 0..1; by default the detector's.
 
         Returns:
             People of each view.
@@ -244,29 +251,31 @@ class Detector:
         many = isinstance(gsd_m, Sequence | np.ndarray) and not isinstance(gsd_m, str)
         distances = _one_each(gsd_m if many else [gsd_m] * count, count, "gsd_m")
         views = [checked_view(*arrays) for arrays in zip(pictures, *parts, strict=True)]
+        least = self.score if score is None else _share(score, "score")
         if self._for_grey is None:
-            return self._found(views, distances, self.score)
+            return self._found(views, distances, least)
         kinds = [_kind(view) for view in views]
         finds: dict[int, Detections] = {}
         for kind in set(kinds):
             own = [k for k in range(count) if kinds[k] == kind]
-            found = self._found_in(kind, [views[k] for k in own], [distances[k] for k in own])
+            seen = [views[k] for k in own], [distances[k] for k in own]
+            found = self._found_in(kind, *seen, least)
             finds |= dict(zip(own, found, strict=True))
         return [finds[k] for k in range(count)]
 
     def _found_in(
-        self, kind: str, views: list[ViewInput], distances: list[Any]
+        self, kind: str, views: list[ViewInput], distances: list[Any], least: float
     ) -> list[Detections]:
         """Let the networks look that know such views."""
         grey = None if kind == "colour" else self._grey
         if grey is None:
-            return self._found(views, distances, self.score)
+            return self._found(views, distances, least)
         if kind == "lone grey":
-            return grey._found(views, distances, self.score)
-        floor = min(_FLOOR, self.score)
+            return grey._found(views, distances, least)
+        floor = min(_FLOOR, least)
         both = (network._found(views, distances, floor) for network in (self, grey))
         pairs = zip(*both, strict=True)
-        return [agreed(a, b, self._iou, self._most).above(self.score) for a, b in pairs]
+        return [agreed(a, b, self._iou, self._most).above(least) for a, b in pairs]
 
     def _found(
         self, views: list[ViewInput], distances: list[Any], least: float

@@ -20,7 +20,7 @@ from hsvaos.evaluate.results import FlightResult
 from hsvaos.evaluate.store import Stored, fingerprint, load, save
 from hsvaos.evaluate.tables import cell, evaluation_csv, markdown_report
 from hsvaos.evaluate.truth import read_people, read_truth, truth_file
-from hsvaos.finding import operating_score
+from hsvaos.finding import operating_scores
 from hsvaos.flight import Flight, FlightError
 from hsvaos.formats.open import open_flight
 from hsvaos.photos import with_poses
@@ -92,7 +92,7 @@ def evaluate_paths(work: Work, console: Console) -> dict[str, Any]:
         raise ValueError("detect.enabled must be true to evaluate finds, got False")
     if work.rules.score is not None:
         work = replace(work, settings=work.settings.with_score(work.rules.score))
-    rules = replace(work.rules, score=operating_score(work.settings.detect))
+    rules = replace(work.rules, score=operating_scores(work.settings.detect).of_boxes)
     check_writable(work.out, FILE_NAMES)
     check_writable(work.out / "flights")
     jobs = _jobs(work)

@@ -7,7 +7,7 @@ from typing import Any
 from hsvaos.detect.detections import Detections, Person
 from hsvaos.detect.locate import ViewFinds, box_places, merge_views
 from hsvaos.evaluate.results import rendered_views
-from hsvaos.finding import operating_score
+from hsvaos.finding import operating_scores
 from hsvaos.kernels.rays import focal_points
 from hsvaos.result import Result
 from hsvaos.settings import Settings
@@ -27,7 +27,7 @@ def widened(settings: Settings) -> Settings:
     detect = settings.detect
     low = {
         "min_z": _TAIL * detect.min_z,
-        "min_score": min(_LEAST_SCORE, operating_score(detect)),
+        "min_score": min(_LEAST_SCORE, *operating_scores(detect)),
         "max_finds": max(detect.max_finds, _MOST),
     }
     return settings.with_values(detect=low)
@@ -42,7 +42,7 @@ def persons_from(result: Result, settings: Settings, device: Any) -> tuple[Perso
         device: Where to cast rays.
     """
     detect = settings.detect
-    score = operating_score(detect)
+    score = operating_scores(detect).of_persons
     finds = []
     for (_, found), view in zip(result.views, rendered_views(result), strict=True):
         kept = _strongest(found, score, detect.max_finds)

@@ -157,9 +157,11 @@ class SearchThread(LookThread):
         with self._changed:
             self._finds.append(finds)
             self._asked = None
-        return LiveFinds(asked.number, finds.found, time.monotonic() - started_s, finds)
+        sure = finds.above(self._finder.scores.of_boxes)
+        return LiveFinds(asked.number, sure.found, time.monotonic() - started_s, sure)
 
     def _search(self, asked: _Asked) -> ViewFinds:
+        """Return all that counts for persons."""
         fresh = self._bring(asked.slots)
         count = len(asked.slots)
         numbers = self._searched[:count].tolist()

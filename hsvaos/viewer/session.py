@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hsvaos.camera import VirtualCamera
+from hsvaos.detect.locate import ViewFinds
 from hsvaos.finding import Finder, make_finder
 from hsvaos.flight import Flight, FlightError
 from hsvaos.focusing import choose_surface, shifted, tilted_plane, without_parallax
@@ -20,7 +21,6 @@ from hsvaos.kernels.rays import focal_points
 from hsvaos.photos import Photos, Progress, load_photos, with_poses
 from hsvaos.relief.find import find_relief
 from hsvaos.rendering import EvidenceIntegrators, Renderer
-from hsvaos.result import ViewResult
 from hsvaos.settings import FocusSettings, MaskSettings, Settings
 from hsvaos.surface import FocalPlane, FocalSurface, FocalTerrain
 from hsvaos.viewer.pace import Quality
@@ -334,8 +334,8 @@ class Session:
             if finder is not None and finder.looks_at_photos and self.photos.is_colour:
                 by = by.with_evidence(self.look(request.mask, wanted, progress))
             renderer = Renderer(by, settings, surface, finder)
-            result, places = renderer.render(name, self.flight.view(index))
-            found = _on_surface(result, places.places, surface)
+            _, finds = renderer.render(name, self.flight.view(index))
+            found = _on_surface(finds, surface)
             self._finds = (key, found)
         return found
 
@@ -347,15 +347,13 @@ def _searches(flight: Flight, focus: FocusSettings) -> bool:
     return focus.autofocus or not known
 
 
-def _on_surface(
-    result: ViewResult, places: NDArray[np.float64], surface: FocalSurface
-) -> tuple[Find, ...]:
+def _on_surface(finds: ViewFinds, surface: FocalSurface) -> tuple[Find, ...]:
     """Finds with the corners of their boxes on the focal surface; those in the air are left out."""
-    view = result.view
+    view = finds.view
     hits = focal_points(view, surface).numpy().reshape(view.height, view.width, 4)
     found = []
-    boxes = result.detections.boxes_xyxy.astype(np.float64)
-    for box, score, place in zip(boxes, result.detections.scores, places, strict=True):
+    boxes = finds.found.boxes_xyxy.astype(np.float64)
+    for box, score, place in zip(boxes, finds.found.scores, finds.places, strict=True):
         columns = np.clip(np.rint(box[[0, 2, 2, 0]]), 0, view.width - 1).astype(int)
         rows = np.clip(np.rint(box[[1, 1, 3, 3]]), 0, view.height - 1).astype(int)
         corners = hits[rows, columns].astype(np.float64)

@@ -303,7 +303,7 @@ def test_wrong_metadata(metadata: dict[str, str], message: str) -> None:
         Detector(photo_net("yolov8", classes=3, metadata=metadata))
 
 
-@pytest.mark.parametrize("key", ["stride", "score_threshold"])
+@pytest.mark.parametrize("key", ["stride", "score_threshold", "person_score_threshold"])
 @pytest.mark.parametrize("value", ["", "-1", "sixteen", "nan"])
 def test_wrong_metadata_of_our_own(key: str, value: str) -> None:
     with pytest.raises(ValueError, match=f"{key}|stride"):

@@ -1,0 +1,49 @@
+"""Which frames' views hold all that any frame's view holds."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hsvaos import Camera, Flight, FocalPlane, Frame
+from hsvaos.viewing import covering_poses
+from tests.kernels.test_integrate import looking_down
+
+
+def strips(rows, columns, apart_m, height_m=20.0):
+    frames = tuple(
+        Frame(f"{i}_{k}", Path(__file__), looking_down(apart_m * i, apart_m * k, height_m))
+        for i in range(rows)
+        for k in range(columns)
+    )
+    return Flight("strips", Camera.from_fov(100, 100, 90.0), frames)
+
+
+def held(flight, index, places):
+    view = flight.view(index)
+    u, v = view.project(places).T
+    return (u >= 0) & (u <= view.width - 1) & (v >= 0) & (v <= view.height - 1)
+
+
+@pytest.mark.parametrize("first", [(), (0,), (14, 3)])
+def test_whom_any_view_holds_one_of_the_chosen_holds(first):
+    flight = strips(5, 6, 5.0)
+    others = covering_poses(flight, FocalPlane(0.0), first)
+    chosen = [*first, *others]
+    assert len(set(chosen)) == len(chosen) < len(flight) / 2
+    rng = np.random.default_rng(0)
+    # within 90 % of what is seen: strips at the border may be left out
+    reach = 18.0 + 2.5 * np.array([4, 5])
+    places = np.zeros((2000, 3))
+    places[:, :2] = rng.uniform(-reach, reach, (2000, 2)) + np.array([10.0, 12.5])
+    seen = np.array([held(flight, k, places) for k in range(len(flight))])
+    assert seen.any(axis=0).all()
+    assert seen[chosen].any(axis=0).mean() > 0.99
+
+
+def test_views_far_apart_are_all_needed_and_the_same_one_twice_is_not():
+    apart = strips(1, 3, 60.0)
+    assert sorted(covering_poses(apart, FocalPlane(0.0))) == [0, 1, 2]
+    same = strips(1, 4, 0.0)
+    assert len(covering_poses(same, FocalPlane(0.0))) == 1
+    assert covering_poses(same, FocalPlane(0.0), (2,)) == []
