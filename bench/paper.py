@@ -5,6 +5,7 @@
     python bench/paper.py poses FLIGHTS RESULTS    errors of the poses against the truth
     python bench/paper.py table RESULTS            bench/PAPER.md and its figures from what is there
     python bench/paper.py ablation RESULTS         its ablation alone, of the flights that have one
+    python bench/paper.py persons RESULTS          what it says of persons alone
 
 Every twelfth stored pose is a virtual camera, drawn at 5 cm a pixel, the sampling at which the
 network looks anyway. A ground point shows the same from all of them, so more views are not more
@@ -350,11 +351,21 @@ def _shrink(flight: Flight) -> float:
 
 
 def run(
-    flights: Path, results: Path, part: int, parts: int, coco: Path | None, ablate: bool
+    flights: Path,
+    results: Path,
+    part: int,
+    parts: int,
+    coco: Path | None,
+    ablate: bool,
+    only: Collection[str],
 ) -> None:
     """Measure what is missing."""
     results.mkdir(parents=True, exist_ok=True)
-    known = {name: m for name, m in methods(coco).items() if ablate or m.everywhere}
+    known = {
+        name: method
+        for name, method in methods(coco).items()
+        if (ablate or method.everywhere) and (not only or name in only)
+    }
     folders = sorted(p for p in flights.iterdir() if (p / "truth.json").exists())
     folders.sort(key=lambda p: p.name.rsplit("_", 1)[::-1], reverse=True)  # all forests in turn
     ablated = tuple(f"_{seed}" for seed in range(FIRST_SEED, FIRST_SEED + ABLATION_SEEDS))
@@ -438,23 +449,31 @@ def main() -> int:
     running.add_argument("--parts", type=int, default=1)
     running.add_argument("--no-ablation", action="store_true", help="only what every flight has")
     running.add_argument("--coco", type=Path, help="a network trained on COCO, for the ablation")
+    running.add_argument("--only", action="append", help="a method; all by default")
     errors = commands.add_parser("poses")
     errors.add_argument("flights", type=Path)
     errors.add_argument("results", type=Path)
-    for name in ("table", "ablation"):
+    for name in ("table", "ablation", "persons"):
         commands.add_parser(name).add_argument("results", type=Path)
     asked = parser.parse_args()
     if asked.command == "run":
         quiet_start()
         run(
-            asked.flights, asked.results, asked.part, asked.parts, asked.coco, not asked.no_ablation
+            asked.flights,
+            asked.results,
+            asked.part,
+            asked.parts,
+            asked.coco,
+            not asked.no_ablation,
+            asked.only or (),
         )
     elif asked.command == "poses":
         pose_errors(asked.flights, asked.results)
     else:
-        from paper_tables import write_ablation, write_page
+        from paper_tables import write_ablation, write_page, write_persons
 
-        {"table": write_page, "ablation": write_ablation}[asked.command](asked.results)
+        write = {"table": write_page, "ablation": write_ablation, "persons": write_persons}
+        write[asked.command](asked.results)
     return 0
 
 

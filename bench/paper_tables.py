@@ -25,6 +25,7 @@ FORESTS = {
     "fall_closed": "fall, closed crowns",
     "snow": "snow",
 }
+POSES = {"true": "true", "ekf": "EKF"}
 MAIN = ("AOS", "HSV-AOS", "hsvaos")
 PRINTED = {
     ("summer", "true"): 0.449,
@@ -64,8 +65,9 @@ STORY = (
     "another.\n"
 )
 
+PERSONS_TITLE = "## Persons on the ground\n\n"
 PERSONS = (
-    "## Persons on the ground\n\nMerged over the views and as many more stored poses as it takes "
+    f"{PERSONS_TITLE}Merged over the views and as many more stored poses as it takes "
     "to see whom any of the 117 sees, at the default threshold of persons; right within 2 m.\n"
 )
 
@@ -278,7 +280,7 @@ def ablation(made: Evaluations) -> list[str]:
     """Return the lines of the ablation; those of the page where it was not measured again."""
     flights = {f.name for forest in FORESTS for f in made.common(forest)}
     if not flights:
-        return [EARNS + _parted(PAGE.read_text(encoding="utf-8"))[1]]
+        return [EARNS + _parted(PAGE.read_text(encoding="utf-8"), EARNS)[1]]
     foreign = [name for name in FOREIGN if any(key(name) == m for _, _, m in made.results)]
     return [
         f"{EARNS}AP at IoU .25 with true poses on {', '.join(sorted(flights))}: of all who are "
@@ -295,17 +297,31 @@ def ablation(made: Evaluations) -> list[str]:
 
 def write_ablation(folder: Path) -> None:
     """Write the page's ablation anew, and leave the rest of the page as it is."""
-    before, _, after = _parted(PAGE.read_text(encoding="utf-8"))
-    section = "\n".join(ablation(Evaluations(read(folder)))).rstrip()
+    _write_section(EARNS, ablation(Evaluations(read(folder))))
+
+
+def persons(made: Evaluations) -> list[str]:
+    """Return the lines of the persons on the ground."""
+    return [PERSONS, person_table(made, POSES, MAIN)]
+
+
+def write_persons(folder: Path) -> None:
+    """Write what the page says of persons anew, and leave the rest of the page as it is."""
+    _write_section(PERSONS_TITLE, persons(Evaluations(read(folder))))
+
+
+def _write_section(title: str, lines: list[str]) -> None:
+    before, _, after = _parted(PAGE.read_text(encoding="utf-8"), title)
+    section = "\n".join(lines).rstrip()
     PAGE.write_text(f"{before}{section}\n\n{after}", encoding="utf-8")
     print(PAGE)
 
 
-def _parted(page: str) -> tuple[str, str, str]:
-    """What stands on a page before its ablation, of it, and after it."""
-    before, _, rest = page.partition(EARNS)
-    section, title, after = rest.partition("\n## ")
-    return before, section, f"{title}{after}".lstrip("\n")
+def _parted(page: str, title: str) -> tuple[str, str, str]:
+    """What stands on a page before a section, of it, and after it."""
+    before, _, rest = page.partition(title)
+    section, mark, after = rest.partition("\n## ")
+    return before, section, f"{mark}{after}".lstrip("\n")
 
 
 def figures(made: Evaluations, poses: dict[str, str]) -> list[str]:
@@ -342,7 +358,7 @@ def pose_table(folder: Path) -> str:
 def write_page(folder: Path) -> None:
     """Write the page and its figures."""
     made = Evaluations(read(folder))
-    poses = {"true": "true", "ekf": "EKF"}
+    poses = POSES
     counts = ", ".join(f"{title} {made.count(forest)}" for forest, title in FORESTS.items())
     seeds = sorted({r.name.rsplit("_", 1)[1] for flights in made.results.values() for r in flights})
     libraries = ", ".join(f"{n} {version(n)}" for n in ("warp-lang", "onnxruntime", "numpy"))
@@ -378,8 +394,7 @@ def write_page(folder: Path) -> None:
         main_table(made, poses),
         "## By occlusion class\n\nAP at IoU .25, and how many people.\n",
         class_table(made, poses),
-        PERSONS,
-        person_table(made, poses, MAIN),
+        *persons(made),
         *ablation(made),
         "## Precision over recall (figure 16)\n",
         *figures(made, poses),

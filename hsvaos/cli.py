@@ -106,7 +106,10 @@ def run(
     relief: Relief = None,
     view: Annotated[
         str | None,
-        typer.Option(metavar="FRAME|all|ortho", help="Virtual camera. (default: centre frame)"),
+        typer.Option(
+            metavar="FRAME|all|cover|ortho",
+            help="Virtual camera; cover: as few frames as see all. (default: centre frame)",
+        ),
     ] = None,
     gsd: Annotated[
         float | None, typer.Option(metavar="M", help="Metres a pixel of the ground grid.")
@@ -314,10 +317,11 @@ def _run(flight: Flight, out: Path, settings: Any, device: str, console: Any) ->
     from hsvaos.pipeline import run as run_pipeline
     from hsvaos.report.views import ViewWriter, remove_views
     from hsvaos.report.write import write_result
+    from hsvaos.viewing import SEVERAL
 
     with console.progress() as progress:
         remove_views(out)
-        on_view = ViewWriter(out) if settings.view.frame == "all" else None
+        on_view = ViewWriter(out) if settings.view.frame in SEVERAL else None
         result = run_pipeline(flight, settings, device=device, progress=progress, on_view=on_view)
         progress("writing pictures and report", 0, 1)
         files = write_result(result, out)

@@ -165,7 +165,8 @@ class ViewSettings:
     """What is rendered.
 
     Args:
-        frame: "centre", "all", "ortho", or the name or number of a frame.
+        frame: "centre", "all" (every stored pose), "cover" (as few of them as hold all that any of
+            them holds), "ortho", or the name or number of a frame.
         gsd_m: Ground sampling distance of the ground grid [m]; by default that of the photos, or
             coarser for grids of more than 16 million pixels.
         aperture_m: Radius of the synthetic aperture [m]; by default all photos count.

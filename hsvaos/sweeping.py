@@ -17,7 +17,7 @@ from hsvaos.masking import make_masks
 from hsvaos.photos import Progress, load_photos, with_poses
 from hsvaos.rendering import make_integrators
 from hsvaos.settings import Settings
-from hsvaos.viewing import sized_view
+from hsvaos.viewing import SEVERAL, sized_view
 
 _PLANES_AT_ONCE = 8
 
@@ -139,7 +139,7 @@ def sweep_flight(
 
 
 def _view(flight: Flight, frame: str, size_px: int) -> tuple[str, VirtualCamera]:
-    if frame in ("all", "ortho"):
+    if frame in (*SEVERAL, "ortho"):
         raise ValueError(f"a sweep needs the view of one frame, got {frame!r}")
     index = flight.centre_index if frame in ("centre", "center") else flight.index(frame)
     return flight.frames[index].name, sized_view(flight, index, size_px)

@@ -12,6 +12,9 @@ from hsvaos.flight import Flight, FlightError
 from hsvaos.settings import ViewSettings
 from hsvaos.surface import FocalPlane, FocalSurface, FocalTerrain
 
+SEVERAL = "all", "cover"
+"""What `view.frame` calls several views."""
+
 _MAX_GRID_PX = 120_000_000
 _DEFAULT_GRID_PX = 16_000_000
 """Pixels to which a grid is coarsened where no sampling distance is asked for."""
@@ -46,6 +49,10 @@ def choose_views(
     if settings.frame == "all":
         views = [(frame.name, flight.view(i)) for i, frame in enumerate(flight.frames)]
         return views, flight.centre_index
+    if settings.frame == "cover":
+        middle = flight.centre_index
+        chosen = sorted([middle, *covering_poses(flight, surface, (middle,))])
+        return [(flight.frames[i].name, flight.view(i)) for i in chosen], chosen.index(middle)
     centre = settings.frame in ("centre", "center")
     index = flight.centre_index if centre else flight.index(settings.frame)
     return [(flight.frames[index].name, flight.view(index))], 0

@@ -133,6 +133,10 @@ def test_every_mask_and_view(flight_folder: Path, tmp_path: Path) -> None:
     (tmp_path / "all" / "views" / "mine.txt").write_text("keep")
     done = cli("run", flight_folder, "-o", tmp_path / "all", "--json")  # no mix of two runs
     assert [p.name for p in (tmp_path / "all" / "views").iterdir()] == ["mine.txt"]
+    done = cli("run", flight_folder, "-o", tmp_path / "few", "--view", "cover", "--json")
+    assert done.returncode == 0, done.stderr
+    views = json.loads((tmp_path / "few" / "detections.json").read_text())["views"]
+    assert len(list((tmp_path / "few" / "views").glob("*.png"))) == len(views) < 6
     done = cli("run", flight_folder, "-o", tmp_path / "grid", "--view", "ortho", "--gsd", 0.1)
     assert done.returncode == 0, done.stderr
     assert "report.html" in done.stdout

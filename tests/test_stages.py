@@ -105,6 +105,12 @@ def test_views(flight: hsvaos.Flight) -> None:
     views, shown = choose_views(flight, ViewSettings(frame="all"), plane)
     assert len(views) == 30
     assert shown == flight.centre_index
+    few, shown = choose_views(flight, ViewSettings(frame="cover"), plane)
+    assert few[shown][0] == centre[0]
+    names = [name for name, _ in views]
+    places = [names.index(name) for name, _ in few]
+    assert places == sorted(set(places))
+    assert len(few) < len(views) / 2
     (named,), _ = choose_views(flight, ViewSettings(frame="demo_003"), plane)
     assert named[0] == "demo_003.jpg"
     ((_, grid),), _ = choose_views(flight, ViewSettings(frame="ortho"), plane)
