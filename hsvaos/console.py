@@ -121,7 +121,7 @@ class Console:
             table.add_column(name, justify="right")
         for p in result.persons[:_MOST_FINDS]:
             place = [f"{p.lat_deg:.7f}", f"{p.lon_deg:.7f}"] if p.lat_deg is not None else ["", ""]
-            row = [f"{p.score:.1f}", f"{p.north_m:.2f}", f"{p.east_m:.2f}", f"{p.std_m:.2f}"]
+            row = [p.score_text, f"{p.north_m:.2f}", f"{p.east_m:.2f}", f"{p.std_m:.2f}"]
             table.add_row(*row, str(p.views), *place)
         self._out.print(table)
         if len(result.persons) > _MOST_FINDS:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from time import perf_counter
 from typing import Any
 
+from hsvaos.camera import VirtualCamera
 from hsvaos.detect.fragments import FragmentNet, PhotoEvidence
 from hsvaos.detect.locate import merge_views
 from hsvaos.finding import make_finder
@@ -24,7 +25,10 @@ from hsvaos.rendering import (
 from hsvaos.result import Result, ViewResult
 from hsvaos.settings import Settings
 from hsvaos.surface import FocalPlane, FocalSurface
-from hsvaos.viewing import choose_views, photo_sampling
+from hsvaos.viewing import choose_views, photo_sampling, share_held
+
+_WHOLE = 0.9
+"""Share of the ground in views from which on all of it counts as searched."""
 
 
 def run(
@@ -79,6 +83,8 @@ def run(
     clock("focus")
     views, shown = choose_views(photos.flight, settings.view, surface)
     finder = make_finder(settings.detect, len(photos.flight))
+    if finder is not None:
+        focus_notes += _partly_searched(photos.flight, surface, [view for _, view in views])
     asked = settings.focus.relief is True and still is None
     if asked and not photos.is_colour:
         raise FlightError(
@@ -139,6 +145,19 @@ def _look(
     """Let a network look for pieces of people, and for the ground, in every photo."""
     gsd_m = photo_sampling(photos.flight, surface)
     return look_at_photos(photos, masks, FragmentNet(), gsd_m, progress)
+
+
+def _partly_searched(
+    flight: Flight, surface: FocalSurface, views: Sequence[VirtualCamera]
+) -> tuple[str, ...]:
+    """Return a note where views hold a part only of the ground that the photos see."""
+    share = share_held(flight, surface, views)
+    if share is None or share >= _WHOLE:
+        return ()
+    return (
+        f"people are looked for in {100.0 * share:.0f} % of the ground that the photos see, as far "
+        f"as this view goes: --view cover searches all of it",
+    )
 
 
 class _Clock:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ _REACH = 4.0
 
 
 _SQUARE_M = 1.0
+_MOST_SQUARES = 40_000
 _MARGIN_M = 0.9
 """Half a person: who lies at a border is not seen whole."""
 
@@ -116,8 +117,8 @@ def ground_grid(flight: Flight, surface: FocalSurface, gsd_m: float | None) -> V
 def covering_poses(flight: Flight, surface: FocalSurface, first: Sequence[int] = ()) -> list[int]:
     """Return the frames whose views, with some chosen before, hold what any frame's view holds.
 
-    Greedily, each the one that adds most, until 98 % of the square metres of ground are held, a
-    metre from a view's border. One view sees as much of a place as another: more are not needed.
+    Greedily, each the one that adds most, until 98 % of the square metres of ground are held, half
+    a person from a view's border. One view sees as much of a place as another: more add nothing.
 
     Args:
         flight: The flight, with poses.
@@ -130,17 +131,7 @@ def covering_poses(flight: Flight, surface: FocalSurface, first: Sequence[int] =
     Raises:
         FlightError: If the photos see no ground.
     """
-    grid = ground_grid(flight, surface, _SQUARE_M)
-    corner, level = grid.world_from_camera[:2, 3], _level(surface)
-    rows, columns = (k.ravel().astype(np.float64) for k in np.indices((grid.height, grid.width)))
-    places = np.stack(
-        [
-            corner[0] - grid.gsd_m * rows,
-            corner[1] + grid.gsd_m * columns,
-            np.full(rows.size, level),
-        ],
-        axis=1,
-    )
+    places = _squares(flight, surface)
     held = np.array([_holds(flight.view(index), places) for index in range(len(flight))])
     whole = held.any(axis=0)
     missing = whole & ~held[list(first)].any(axis=0)
@@ -149,6 +140,44 @@ def covering_poses(flight: Flight, surface: FocalSurface, first: Sequence[int] =
         others.append(int((held & missing).sum(axis=1).argmax()))
         missing &= ~held[others[-1]]
     return others
+
+
+def share_held(
+    flight: Flight, surface: FocalSurface, views: Iterable[VirtualCamera]
+) -> float | None:
+    """Return the share of the ground in the views of all frames that some views hold, 0 to 1.
+
+    Args:
+        flight: The flight, with poses.
+        surface: The focal surface; a terrain counts as level at its middle.
+        views: The views; a ground grid holds everything.
+
+    Returns:
+        The share; None where the frames see no ground.
+    """
+    chosen = list(views)
+    if any(view.is_ortho for view in chosen):
+        return 1.0
+    try:
+        places = _squares(flight, surface)
+    except FlightError:
+        return None
+    seen, held = (
+        np.any([_holds(view, places) for view in some], axis=0)
+        for some in ([flight.view(index) for index in range(len(flight))], chosen)
+    )
+    return float((seen & held).sum() / seen.sum()) if seen.any() else None
+
+
+def _squares(flight: Flight, surface: FocalSurface) -> NDArray[np.float64]:
+    """Shape (K, 3): places a metre apart, or more where that were too many, on the ground [m]."""
+    fine = ground_grid(flight, surface, None)
+    side = fine.gsd_m * np.sqrt(fine.width * fine.height / _MOST_SQUARES)
+    grid = ground_grid(flight, surface, max(_SQUARE_M, float(side)))
+    corner = grid.world_from_camera[:2, 3]
+    rows, columns = (k.ravel().astype(np.float64) for k in np.indices((grid.height, grid.width)))
+    north, east = corner[0] - grid.gsd_m * rows, corner[1] + grid.gsd_m * columns
+    return np.stack([north, east, np.full(rows.size, _level(surface))], axis=1)
 
 
 def _holds(view: VirtualCamera, places: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -5,8 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hsvaos import Camera, Flight, FocalPlane, Frame
-from hsvaos.viewing import covering_poses
+import hsvaos
+from hsvaos import Camera, Flight, FocalPlane, Frame, Settings
+from hsvaos.demo import demo_flight
+from hsvaos.viewing import covering_poses, ground_grid, share_held
 from tests.kernels.test_integrate import looking_down
 
 
@@ -47,3 +49,26 @@ def test_views_far_apart_are_all_needed_and_the_same_one_twice_is_not():
     same = strips(1, 4, 0.0)
     assert len(covering_poses(same, FocalPlane(0.0))) == 1
     assert covering_poses(same, FocalPlane(0.0), (2,)) == []
+
+
+def test_how_much_of_the_ground_views_hold():
+    flight, plane = strips(1, 4, 40.0), FocalPlane(0.0)  # side by side
+    views = [flight.view(k) for k in range(4)]
+    for count in (1, 2, 4):
+        assert share_held(flight, plane, views[:count]) == pytest.approx(count / 4, abs=0.02)
+    assert share_held(flight, plane, [ground_grid(flight, plane, 1.0)]) == 1.0
+    assert share_held(flight, FocalPlane(-30.0), views) is None  # above the cameras
+    wide = strips(2, 3, 900.0, height_m=300.0)  # squares larger than a metre
+    assert share_held(wide, plane, [wide.view(1)]) == pytest.approx(1 / 6, abs=0.03)
+
+
+@pytest.mark.parametrize(("frame", "told"), [("centre", True), ("cover", False), ("ortho", False)])
+def test_a_run_tells_what_it_leaves_unsearched(frame, told):
+    flight = demo_flight()
+    settings = Settings().with_values(
+        view={"frame": frame}, detect={"method": "rarity"}, photos={"scale": 0.25}
+    )
+    notes = hsvaos.run(flight, settings).notes
+    assert any("--view cover searches all of it" in note for note in notes) == told
+    unasked = settings.with_values(detect={"enabled": False})
+    assert not any("--view cover" in note for note in hsvaos.run(flight, unasked).notes)

@@ -75,3 +75,8 @@ class Person:
     score: float
     views: int
     covariance_m2: tuple[tuple[float, float], tuple[float, float]] | None = None
+
+    @property
+    def score_text(self) -> str:
+        """The score as people read it: a probability in hundredths, a local z in tenths."""
+        return f"{self.score:.2f}" if self.score < 1.0 else f"{self.score:.1f}"

@@ -96,8 +96,7 @@ def _copyable(text: str) -> str:
 
 def _figures(person: Person) -> str:
     std = f"± {person.std_m:.1f} m" if np.isfinite(person.std_m) else "not known"
-    score = f"{person.score:.2f}" if person.score < 1 else f"{person.score:.1f}"
-    values = (("score", score), ("position", std), ("views", str(person.views)))
+    values = (("score", person.score_text), ("position", std), ("views", str(person.views)))
     return "".join(f'<div class="value"><b>{v}</b><span>{name}</span></div>' for name, v in values)
 
 
