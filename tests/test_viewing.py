@@ -72,3 +72,16 @@ def test_a_run_tells_what_it_leaves_unsearched(frame, told):
     assert any("--view cover searches all of it" in note for note in notes) == told
     unasked = settings.with_values(detect={"enabled": False})
     assert not any("--view cover" in note for note in hsvaos.run(flight, unasked).notes)
+
+
+@pytest.mark.slow
+def test_few_views_find_whom_all_of_them_find():
+    persons = {
+        frame: hsvaos.run(demo_flight(), Settings().with_values(view={"frame": frame})).persons
+        for frame in ("cover", "all")
+    }
+    assert len(persons["cover"]) == len(persons["all"]) > 0
+    for few, every in zip(persons["cover"], persons["all"], strict=True):
+        assert np.hypot(few.north_m - every.north_m, few.east_m - every.east_m) < 0.3
+        assert few.score == pytest.approx(every.score, abs=0.05)
+        assert few.views < every.views

@@ -97,6 +97,19 @@ class Actions:
 
         tab.live.background(tab, "focus", job, tab.failed)
 
+    def begin(self) -> None:
+        """Go to the relief at once where the settings ask for it."""
+        session, c = self.tab.session, self.tab.controls
+        if session.settings.focus.relief is not True or session.start.terrain:
+            return
+        if c.terrain is not None:
+            self.follow_terrain()
+        else:
+            c.status.content = (
+                "**the settings ask for the relief of the ground, which is found in RGB photos "
+                "only: this is the plane**"
+            )
+
     def follow_terrain(self) -> None:
         """Go to the terrain or back to the plane, as the box says; find the relief if need be."""
         tab, c = self.tab, self.tab.controls

@@ -190,7 +190,7 @@ def _focus(gui: viser.GuiApi, session: Session, h: dict[str, Any]) -> None:
     elif session.may_find_relief:
         h["terrain"] = gui.add_checkbox(
             "Follow the relief",
-            False,
+            session.settings.focus.relief is True,
             hint="How high the ground is above and below the focal plane, as hsvaos run finds it. "
             "All photos are looked into for it, which takes a while the first time.",
         )

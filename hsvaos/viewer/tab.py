@@ -55,6 +55,7 @@ class Tab:
         self.show_parts()
         self.actions.show_kept()
         self.update()
+        self.actions.begin()
 
     def _wire(self) -> None:
         c = self.controls

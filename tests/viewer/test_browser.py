@@ -258,6 +258,21 @@ def test_the_relief_is_found_when_asked_for(app: App, page: Any) -> None:
     settled(tab)
 
 
+def test_settings_that_ask_for_the_relief_begin_with_it(browser: Any) -> None:
+    asked = hsvaos.Settings().with_values(focus={"down_m": -0.5, "relief": True})
+    app = App(Session.open(hsvaos.open_flight(FOLDER), asked), port=0)
+    page = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
+    page.goto(app.url)
+    tab = tab_of(app, page)
+    until(lambda: tab.last is not None and tab.last.focus.terrain, 180.0)
+    assert tab.controls.terrain is not None
+    assert tab.controls.terrain.value
+    assert "relief of the ground: " in tab.controls.finds.content
+    settled(tab)
+    page.close()
+    app.close()
+
+
 def test_tabs_are_each_their_own_and_leave_nothing(
     app: App, page: Any, browser: Any, capfd: pytest.CaptureFixture[str]
 ) -> None:
