@@ -1,5 +1,7 @@
 """A view is looked at with what lies around it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,13 +11,15 @@ from hsvaos.camera import Camera, VirtualCamera
 from hsvaos.demo import demo_flight
 from hsvaos.detect.detections import Detections
 from hsvaos.detect.surroundings import Surroundings, with_surroundings
-from hsvaos.finding import Finder
+from hsvaos.finding import Finder, Scores
 from hsvaos.flight import FlightError
 from hsvaos.masking import make_masks
 from hsvaos.photos import load_photos, with_poses
 from hsvaos.rendering import Renderer, make_integrators
 from hsvaos.settings import Settings
 from hsvaos.surface import FocalPlane
+
+EVERY = Scores(0.1, 0.1)
 
 POSE = np.array([[0.0, -1, 0, 3], [1, 0, 0, -2], [0, 0, 1, -20], [0, 0, 0, 1]])
 
@@ -95,8 +99,9 @@ def test_a_run_shows_the_network_more_than_the_view_and_reports_what_is_in_it(de
         return found((1, 1, 9, 9), (margin - 6.5, 100, margin + 9.5, 110))
 
     surface = FocalPlane(flight.ground_down_m)
-    narrow = Renderer(by, Settings(), surface, Finder(("rarity_map",), 0.1, find))
-    wide = Renderer(by, Settings(), surface, Finder(("rarity_map",), 0.1, find, 2.0))
+    finder = Finder(("rarity_map",), EVERY, 0.5, find)
+    narrow = Renderer(by, Settings(), surface, finder)
+    wide = Renderer(by, Settings(), surface, replace(finder, reach_m=2.0))
     if once:
         views = [flight.view(i) for i in range(len(flight))]
         narrow, wide = (one.with_ground_for(flight, views) for one in (narrow, wide))
@@ -127,7 +132,7 @@ def test_a_run_shows_the_network_more_than_the_view_and_reports_what_is_in_it(de
 
 def test_a_view_of_no_ground_is_said_to_be_one(demo):
     flight, by = demo
-    finder = Finder(("rarity_map",), 0.1, lambda layers, gsd_m: found(), 2.0)
+    finder = Finder(("rarity_map",), EVERY, 0.5, lambda layers, gsd_m: found(), 2.0)
     above = FocalPlane(float(flight.poses[:, 2, 3].min()) - 10.0)
     with pytest.raises(FlightError, match="no photo sees the focal surface"):
         Renderer(by, Settings(), above, finder).render("up", flight.view(0))
