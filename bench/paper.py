@@ -171,7 +171,8 @@ def methods(coco: Path | None = None) -> dict[str, Method]:
 
     def of_coco() -> dict[str, Method]:
         network = Detector(coco, score=FLOOR, slice_px=COCO_WINDOW_PX)
-        score = Scores(Detector(coco).score, Detector(coco).person_score)
+        own = Detector(coco)
+        score = Scores(own.score, own.person_score)
 
         def find(name: str) -> Callable[[Layers], Detections]:
             return lambda layers: network.detect(layers[name][0])

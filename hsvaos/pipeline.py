@@ -25,7 +25,7 @@ from hsvaos.rendering import (
 from hsvaos.result import Result, ViewResult
 from hsvaos.settings import Settings
 from hsvaos.surface import FocalPlane, FocalSurface
-from hsvaos.viewing import choose_views, photo_sampling, share_held
+from hsvaos.viewing import SEVERAL, choose_views, photo_sampling, share_held
 
 _WHOLE = 0.9
 """Share of the ground in views from which on all of it counts as searched."""
@@ -83,8 +83,9 @@ def run(
     clock("focus")
     views, shown = choose_views(photos.flight, settings.view, surface)
     finder = make_finder(settings.detect, len(photos.flight))
-    if finder is not None:
-        focus_notes += _partly_searched(photos.flight, surface, [view for _, view in views])
+    search_notes: tuple[str, ...] = ()
+    if finder is not None and settings.view.frame not in SEVERAL:
+        search_notes = _partly_searched(photos.flight, surface, [view for _, view in views])
     asked = settings.focus.relief is True and still is None
     if asked and not photos.is_colour:
         raise FlightError(
@@ -132,7 +133,7 @@ def run(
         photo_frame=names[index],
         mask_stats=masks.stats,
         hue_histogram=masks.hue_histogram,
-        notes=(*flight.notes, *photos.notes, *masks.notes, *focus_notes),
+        notes=(*flight.notes, *photos.notes, *masks.notes, *focus_notes, *search_notes),
         timings_s=clock.seconds,
         mask=settings.mask.method,
         detected=settings.detect.enabled,

@@ -24,7 +24,9 @@ _REACH = 4.0
 
 
 _SQUARE_M = 1.0
-_MOST_SQUARES = 40_000
+_MOST_SQUARES = 20_000
+"""More would take seconds in flights of hundreds of frames."""
+
 _MARGIN_M = 0.9
 """Half a person: who lies at a border is not seen whole."""
 
