@@ -133,7 +133,8 @@ def methods(coco: Path | None = None) -> dict[str, Method]:
     """
     detector = Detector(score=FLOOR)
     own = Detector()
-    score = Scores(own.score, own.person_score)
+    score = Scores(own.score, own.person_score())
+    twice = Scores(own.score, own.person_score(all_known=True))
     once = Detector(PACKAGED.read_bytes(), score=FLOOR)
     peaks = DetectSettings()
 
@@ -172,7 +173,7 @@ def methods(coco: Path | None = None) -> dict[str, Method]:
     def of_coco() -> dict[str, Method]:
         network = Detector(coco, score=FLOOR, slice_px=COCO_WINDOW_PX)
         own = Detector(coco)
-        score = Scores(own.score, own.person_score)
+        score = Scores(own.score, own.person_score())
 
         def find(name: str) -> Callable[[Layers], Detections]:
             return lambda layers: network.detect(layers[name][0])
@@ -187,9 +188,9 @@ def methods(coco: Path | None = None) -> dict[str, Method]:
     return {
         "AOS": Method(image("plain"), score, both, True),
         "HSV-AOS": Method(image("hue"), score, both, True),
-        "hsvaos": Method(everything(), score, both, True, wide=True, relief=True),
-        "hsvaos on a plane": Method(everything(), score, wide=True),
-        "all but surroundings": Method(everything(), score, relief=True),
+        "hsvaos": Method(everything(), twice, both, True, wide=True, relief=True),
+        "hsvaos on a plane": Method(everything(), twice, wide=True),
+        "all but surroundings": Method(everything(), twice, relief=True),
         "hue, not brightened": Method(image("hue_dark"), score),
         "ground image": Method(image("ground"), score),
         "rarity image": Method(image("rarity"), score),

@@ -45,7 +45,7 @@ class Finder:
 
     @property
     def looks_at_photos(self) -> bool:
-        """Whether every colour photo is to be looked at for pieces of people."""
+        """Whether every photo is to be looked at for pieces of people."""
         return not PHOTO_LAYERS.keys().isdisjoint(self.layers)
 
     def __call__(self, layers: Mapping[str, Any], gsd_m: float) -> Detections:
@@ -73,11 +73,12 @@ class Scores(NamedTuple):
     of_persons: float
 
 
-def operating_scores(settings: DetectSettings) -> Scores:
+def operating_scores(settings: DetectSettings, colour: bool = True) -> Scores:
     """Return the scores from which finds count.
 
     Args:
         settings: The method and its thresholds.
+        colour: Whether the photos are RGB.
 
     Raises:
         ValueError: If the threshold is the network's own and that cannot be read.
@@ -89,20 +90,25 @@ def operating_scores(settings: DetectSettings) -> Scores:
         return Scores(score, score if settings.person_score is None else settings.person_score)
     from hsvaos.detect.yolo import Detector
 
-    return _asked(settings, Detector(settings.model, settings.layout))
+    return _asked(settings, Detector(settings.model, settings.layout), colour)
 
 
-def _asked(settings: DetectSettings, detector: Detector) -> Scores:
+def _asked(settings: DetectSettings, detector: Detector, colour: bool) -> Scores:
     own = settings.person_score
-    return Scores(detector.score, detector.person_score if own is None else own)
+    if own is None:
+        own = detector.person_score(all_known=colour and settings.inputs == "all")
+    return Scores(detector.score, own)
 
 
-def make_finder(settings: DetectSettings, photos: int, threads: int | None = None) -> Finder | None:
+def make_finder(
+    settings: DetectSettings, photos: int, colour: bool = True, threads: int | None = None
+) -> Finder | None:
     """Return what looks for people; None where nobody is looked for.
 
     Args:
         settings: The method and its thresholds.
         photos: Number of photos of the flight.
+        colour: Whether they are RGB: grey ones are not looked at one by one.
         threads: CPU threads that a network uses; by default one a core.
 
     Raises:
@@ -111,7 +117,7 @@ def make_finder(settings: DetectSettings, photos: int, threads: int | None = Non
     if not settings.enabled:
         return None
     if settings.method == "network":
-        return _network_finder(settings, threads)
+        return _network_finder(settings, colour, threads)
     enough = replace(settings, min_rays=min(settings.min_rays, 0.5 * photos))
     layer = f"{settings.method}_map"
 
@@ -122,11 +128,11 @@ def make_finder(settings: DetectSettings, photos: int, threads: int | None = Non
     return Finder((layer,), operating_scores(settings), settings.min_agreement, find)
 
 
-def _network_finder(settings: DetectSettings, threads: int | None) -> Finder:
+def _network_finder(settings: DetectSettings, colour: bool, threads: int | None) -> Finder:
     from hsvaos.detect.yolo import Detector
 
     detector = Detector(settings.model, settings.layout, score=settings.min_score, threads=threads)
-    scores = _asked(settings, detector)
+    scores = _asked(settings, detector, colour)
     least = min(scores)
     reach_m = REACH_M if detector.layout == "hsvaos" else 0.0
 
@@ -157,6 +163,6 @@ def _network_finder(settings: DetectSettings, threads: int | None) -> Finder:
     if settings.inputs == "image" or detector.layout != "hsvaos":
         return Finder(("chosen",), scores, settings.min_agreement, find_in_image, reach_m)
     looked_at: tuple[str, ...] = ("rarity_map", "rarity", "plain", "coherence")
-    if settings.inputs == "all":
+    if settings.inputs == "all" and colour:
         looked_at = (*looked_at, *detector.photo_layers)
     return Finder(looked_at, scores, settings.min_agreement, find_in_all, reach_m)

@@ -82,7 +82,7 @@ def run(
         focus_notes = (*focus_notes, still)
     clock("focus")
     views, shown = choose_views(photos.flight, settings.view, surface)
-    finder = make_finder(settings.detect, len(photos.flight))
+    finder = make_finder(settings.detect, len(photos.flight), photos.is_colour)
     search_notes: tuple[str, ...] = ()
     if finder is not None and settings.view.frame not in SEVERAL:
         search_notes = _partly_searched(photos.flight, surface, [view for _, view in views])
@@ -91,7 +91,7 @@ def run(
         raise FlightError(
             f"{flight.source}: the relief of the ground is found in RGB photos only, got grey ones"
         )
-    if photos.is_colour and (asked or (finder is not None and finder.looks_at_photos)):
+    if asked or (finder is not None and finder.looks_at_photos):
         evidence = _look(photos, masks, surface, progress)
         by = by.with_evidence(evidence_integrators(photos, evidence, masks.gains))
         clock("look at photos")

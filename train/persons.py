@@ -19,7 +19,8 @@ import numpy as np
 import onnx
 
 from bench.paper import Measured, measure, methods
-from hsvaos.detect.yolo import PACKAGED
+from hsvaos.detect.network import PERSON_SCORE
+from hsvaos.detect.second_look import PACKAGED_SECOND_LOOK
 from hsvaos.evaluate.measures import Rules
 from hsvaos.evaluate.persons import match_persons
 from hsvaos.kernels.device import quiet_start
@@ -28,8 +29,6 @@ from train.second_judge import most_expected
 SCORES = tuple(np.arange(0.30, 0.751, 0.025).round(3).tolist())
 MOST_FALSE = 1.0
 """False alarms a flight."""
-
-_KEY = "person_score_threshold"
 
 
 class Row(NamedTuple):
@@ -105,7 +104,7 @@ def with_person_score(model: Path, score: float) -> None:
     """
     network = onnx.load(str(model))
     kept = {entry.key: entry.value for entry in network.metadata_props}
-    kept[_KEY] = f"{score:.3f}"
+    kept[PERSON_SCORE] = f"{score:.3f}"
     onnx.helper.set_model_props(network, kept)
     part = model.with_suffix(".part")
     onnx.save(network, str(part))
@@ -133,7 +132,7 @@ def main() -> int:
     parser.add_argument("flights", type=Path, help="folder of tuning flights (WORK/tuning_flights)")
     parser.add_argument("--kept", type=Path, help="for what is found; by default beside them")
     parser.add_argument(
-        "--model", type=Path, help=f"network to write it into, such as {PACKAGED.name}"
+        "--model", type=Path, help=f"network to write it into, such as {PACKAGED_SECOND_LOOK.name}"
     )
     asked = parser.parse_args()
     folders = sorted(path for path in asked.flights.iterdir() if (path / "truth.json").exists())

@@ -14,7 +14,7 @@ from hsvaos.camera import finite_number
 from hsvaos.detect.fitting import Placement, as_bytes, fitted, padded
 from hsvaos.detect.grey_input import GREY_CHANNELS, grey_input
 from hsvaos.detect.layouts import Layout, input_size, own_channels
-from hsvaos.detect.network import Network
+from hsvaos.detect.network import PERSON_SCORE, Network
 from hsvaos.detect.network_input import (
     AIM_GSD_M,
     CHANNELS,
@@ -156,8 +156,9 @@ class OwnFeed:
         known = GREY_CHANNELS if self._grey else CHANNELS
         self._channels = [known.index(name) for name in names]
         self.photo_layers = photo_layers(names)
-        self.score = _threshold(network, "score_threshold", layout.score)
-        self.person_score = _threshold(network, "person_score_threshold", self.score)
+        score, of_persons = map(network.threshold, ("score_threshold", PERSON_SCORE))
+        self.score = layout.score if score is None else score
+        self.person_score = self.score if of_persons is None else of_persons
         self._gsd_m, self._aim_m = _trained_gsd(network)
         self._fixed = network.picture.shape[2:]
         height, width = (
@@ -217,19 +218,6 @@ class OwnFeed:
 
 def _pair(image: Array | None, coherence: Array | None) -> tuple[Array, Array] | None:
     return None if image is None or coherence is None else (image, coherence)
-
-
-def _threshold(network: Network, name: str, default: float) -> float:
-    text = network.metadata.get(name, str(default))
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0.0 <= value <= 1.0:
-        raise ValueError(
-            f"{network.name}: expected {name} from 0 to 1 in the metadata, got {text!r}"
-        )
-    return value
 
 
 def _trained_gsd(network: Network) -> tuple[tuple[float, float], float]:

@@ -22,6 +22,9 @@ PROVIDERS = {
 """Where networks can run, by short name. Chosen in this order: TensorRT builds an engine, for
 minutes, for each new size of picture, so it comes before the CPU only."""
 
+PERSON_SCORE = "person_score_threshold"
+"""Key in the metadata: the score from which a box counts for a person over all views."""
+
 _DTYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16, "tensor(int64)": np.int64}
 
 _log = logging.getLogger("hsvaos")
@@ -108,6 +111,28 @@ class Network:
             shapes = ", ".join(f"{port.name} {list(port.shape)}" for port in self.inputs)
             raise ValueError(f"{self.name}: expected one input (B, C, H, W), got {shapes}")
         return found[0]
+
+    def threshold(self, key: str) -> float | None:
+        """Return a score that the metadata name, or None where they do not.
+
+        Args:
+            key: Its name.
+
+        Raises:
+            ValueError: If it is no number from 0 to 1.
+        """
+        text = self.metadata.get(key)
+        if text is None:
+            return None
+        try:
+            value = float(text)
+        except ValueError:
+            value = -1.0
+        if not 0.0 <= value <= 1.0:
+            raise ValueError(
+                f"{self.name}: expected {key} from 0 to 1 in the metadata, got {text!r}"
+            )
+        return value
 
     def run(self, feeds: Mapping[str, Array]) -> dict[str, Array]:
         """Run the network.

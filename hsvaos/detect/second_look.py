@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hsvaos.detect.network import Network
+from hsvaos.detect.network import PERSON_SCORE, Network
 from hsvaos.detect.network_input import CHANNELS
 from hsvaos.detect.suppress import suppress, usable
 
@@ -42,6 +42,10 @@ _SIZE_UNIT_PX = 32.0
 class SecondLook:
     """Scores boxes of the person network anew.
 
+    Attributes:
+        person_score: Score from which one counts for a person over all views of a flight; None: the
+            one that the person network has.
+
     Args:
         model: ONNX file; by default our own weights.
         provider: "cuda", "tensorrt" or "cpu"; by default the first one that is here.
@@ -65,6 +69,7 @@ class SecondLook:
                 f"{self._network.name}: expected a network for a second look, with the channels of "
                 f"network_input in its metadata, got {named or 'none'}"
             )
+        self.person_score = self._network.threshold(PERSON_SCORE)
 
     def at(self, planes: Array, boxes: Array, scores: Array) -> tuple[Array, Array]:
         """Return what remains of the first network's boxes, put right, with new scores.

@@ -44,7 +44,6 @@ class Detector:
         provider: Where it runs: "cuda", "tensorrt" or "cpu".
         people: Numbers of the classes that count as people.
         score: Score from which a box counts.
-        person_score: Score from which one counts for a person over all views of a flight.
         notes: What was assumed or could not be used, one line each.
         photo_layers: What `detect` takes of single photos and the network looks at: some of
             "fragments", "fragment_coherence" and "ground".
@@ -120,7 +119,7 @@ class Detector:
             self._feed = PhotoFeed(self._network, self._layout, side, part)
         self.photo_layers = self._feed.photo_layers
         self.score = self._feed.score if score is None else _share(score, "score")
-        self.person_score = self._feed.person_score if score is None else self.score
+        self._asked_for = score is not None
         self._to_look_again: Callable[[], SecondLook] | None = None
         if packaged and PACKAGED_SECOND_LOOK.is_file():
             self._to_look_again = lambda: SecondLook(PACKAGED_SECOND_LOOK, provider, threads)
@@ -145,6 +144,25 @@ class Detector:
     def _grey(self) -> Detector | None:
         """What looks at grey images in place of this one, read when the first one comes."""
         return None if self._for_grey is None else self._for_grey()
+
+    def person_score(self, all_known: bool = False) -> float:
+        """Return the score from which a box counts for a person over all views of a flight.
+
+        That of the weights, or of their metadata, where no score was asked for; else that one.
+
+        Args:
+            all_known: Whether `detect` is given everything of these views, from the rarity map to
+                the ground. Our own weights then look twice, and a second look knows better when it
+                may be less sure.
+
+        Raises:
+            ValueError: If the network of the second look cannot be read.
+        """
+        if self._asked_for:
+            return self.score
+        second = self._second_look if all_known else None
+        own = None if second is None else second.person_score
+        return self._feed.person_score if own is None else own
 
     def detect(
         self,

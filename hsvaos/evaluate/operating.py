@@ -42,7 +42,8 @@ def persons_from(result: Result, settings: Settings, device: Any) -> tuple[Perso
         device: Where to cast rays.
     """
     detect = settings.detect
-    score = operating_scores(detect).of_persons
+    colour = result.photo.ndim == 3
+    score = operating_scores(detect, colour).of_persons
     finds = []
     for (_, found), view in zip(result.views, rendered_views(result), strict=True):
         kept = _strongest(found, score, detect.max_finds)

@@ -82,12 +82,12 @@ class SearchThread(LookThread):
         super().__init__()
         self._format, self._frames, self._valid = format, frames, valid
         self._settings = settings.with_values(mask={"method": "rarity"})
-        finder = make_finder(settings.detect, frames, threads=1)
+        finder = make_finder(settings.detect, frames, format.channels == 3, threads=1)
         if finder is None:
             raise ValueError("a search needs settings that look for people, got detect.enabled off")
         self._finder, self._device = finder, device
         self._net = None
-        if finder.looks_at_photos and format.channels == 3:
+        if finder.looks_at_photos:
             self._net = FragmentNet(provider="cpu" if device.is_cpu else None, threads=1)
         dtype = np.dtype(format.dtype)
         self._kept: NDArray[Any] = np.zeros((2 * frames, *format.shape), dtype)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from hsvaos.detect.detections import Detections
 from hsvaos.report.figures import Rgba, colour_map
@@ -38,6 +39,24 @@ def draw_boxes(picture: Rgba, found: Detections) -> Rgba:
         for colour, thick in ((_BLACK, 4 * unit), (_MARK, 2 * unit)):
             cv2.rectangle(out, (left, top), (right, bottom), colour, thick)
         _tag(out, f"{score:.2g}" if score < 1 else f"{score:.1f}", left, top - 4 * unit, unit)
+    return out
+
+
+def draw_rings(picture: Rgba, places: NDArray[np.float64]) -> Rgba:
+    """Draw rings around places without a box, in the colours of boxes.
+
+    Args:
+        picture: Shape (H, W, 4), uint8 RGBA.
+        places: Shape (N, 2), pixels of this picture.
+
+    Returns:
+        A new picture.
+    """
+    out = picture.copy()
+    unit = max(1, round(max(out.shape[:2]) / 900))
+    for x, y in np.rint(places).astype(int).tolist():
+        for colour, thick in ((_BLACK, 4 * unit), (_MARK, 2 * unit)):
+            cv2.circle(out, (x, y), 16 * unit, colour, thick, cv2.LINE_AA)
     return out
 
 

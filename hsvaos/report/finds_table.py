@@ -12,6 +12,7 @@ from hsvaos.camera import VirtualCamera
 from hsvaos.detect.detections import Person
 from hsvaos.report.figures import Rgba, encode
 from hsvaos.report.panels import Panel
+from hsvaos.report.places import box_around, places_of
 from hsvaos.result import Result
 
 MAX_ROWS = 60
@@ -51,21 +52,21 @@ def finds_marks(result: Result) -> str:
     view = result.main.view
     big = max(view.size)
     text, ring = big / 34.0, big / 60.0
-    boxes = result.main.detections.boxes_xyxy.astype(np.float64)
+    boxes = result.main.detections.boxes_xyxy
     parts = [
         f'<rect x="{x0:.1f}" y="{y0:.1f}" width="{x1 - x0:.1f}" height="{y1 - y0:.1f}"/>'
         for x0, y0, x1, y1 in boxes
     ]
-    for number, person in enumerate(result.persons[:MAX_ROWS], start=1):
-        x, y = view.project([person.north_m, person.east_m, person.down_m])
-        if not (-0.5 <= x < view.width - 0.5 and -0.5 <= y < view.height - 0.5):
+    places = places_of(view, result.persons[:MAX_ROWS])
+    around = box_around(places, boxes).tolist()
+    for number, ((x, y), box) in enumerate(zip(places.tolist(), around, strict=True), start=1):
+        if np.isnan(x):
             continue
-        inside = (boxes[:, :2] <= (x, y)).all(axis=1) & (boxes[:, 2:] >= (x, y)).all(axis=1)
-        if not inside.any():
+        if box < 0:
             parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{ring:.1f}"/>')
             top, left = y - ring, x - ring
         else:
-            left, top = boxes[np.flatnonzero(inside)[0], :2]
+            left, top = boxes[box, :2]
         at_top = top - 0.25 * text if top > 1.3 * text else top + 1.2 * text
         left = min(max(left, 0.1 * text), view.width - 1.2 * text)
         parts.append(f'<text x="{left:.1f}" y="{at_top:.1f}">{number}</text>')

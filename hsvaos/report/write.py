@@ -11,10 +11,11 @@ import numpy as np
 from hsvaos.flight import FlightError, Origin
 from hsvaos.report import figures, geotiff
 from hsvaos.report.atomic import atomic_path, check_writable, write_bytes
-from hsvaos.report.draw import draw_boxes, draw_scale_and_north, with_legend
+from hsvaos.report.draw import draw_boxes, draw_rings, draw_scale_and_north, with_legend
 from hsvaos.report.finds import detections_geojson, detections_json
 from hsvaos.report.ground import surface_down
 from hsvaos.report.html import report_html
+from hsvaos.report.places import box_around, places_of
 from hsvaos.report.terrain import height_picture, write_terrain
 from hsvaos.result import Result
 from hsvaos.surface import FocalTerrain
@@ -129,7 +130,9 @@ def _write_geotiffs(result: Result, folder: Path) -> dict[str, Path]:
 def _write_pictures(result: Result, folder: Path) -> dict[str, Path]:
     main = result.main
     integral = figures.stretch(main.integral, main.footprint)
-    found = draw_boxes(integral, main.detections)
+    places = places_of(main.view, result.persons)
+    without = ~np.isnan(places[:, 0]) & (box_around(places, main.detections.boxes_xyxy) < 0)
+    found = draw_rings(draw_boxes(integral, main.detections), places[without])
     if main.view.is_ortho:
         found = draw_scale_and_north(found, main.view.gsd_m)
     low, high = figures.footprint_limits(main.footprint)

@@ -329,9 +329,10 @@ class Session:
                 raise Abandoned
             name = self.flight.frames[index].name
             if self._finder is None:
-                self._finder = make_finder(settings.detect, len(self.flight))
+                colour = self.photos.is_colour
+                self._finder = make_finder(settings.detect, len(self.flight), colour)
             finder = self._finder
-            if finder is not None and finder.looks_at_photos and self.photos.is_colour:
+            if finder is not None and finder.looks_at_photos:
                 by = by.with_evidence(self.look(request.mask, wanted, progress))
             renderer = Renderer(by, settings, surface, finder)
             _, finds = renderer.render(name, self.flight.view(index))

@@ -228,7 +228,11 @@ def own_net(
 
 
 def second_net(
-    channel: str, gain: float, shifts: tuple[float, float, float, float], bias: float = 0.0
+    channel: str,
+    gain: float,
+    shifts: tuple[float, float, float, float],
+    bias: float = 0.0,
+    **metadata: str,
 ) -> bytes:
     """A network of the second look: the logit it is told, plus the mean of a channel; fixed shifts.
 
@@ -249,4 +253,4 @@ def second_net(
         "facts": (["b", 3], TensorProto.FLOAT),
     }
     outputs = {"scores": 1, "shifts": 2}
-    return net.model(inputs, outputs, {"channels": ",".join(CHANNELS)})
+    return net.model(inputs, outputs, {"channels": ",".join(CHANNELS), **metadata})

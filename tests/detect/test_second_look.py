@@ -21,6 +21,8 @@ from hsvaos.detect.second_look import (
     moved,
     patch,
 )
+from hsvaos.finding import make_finder, operating_scores
+from hsvaos.settings import DetectSettings
 from tests.detect.nets import own_net, second_net
 
 PLACES = st.integers(-480, 1120).map(lambda eighths: eighths / 8.0)  # sums are exact
@@ -103,6 +105,34 @@ def test_many_boxes_are_looked_at_in_turn_and_the_strongest_first(tmp_path: Path
     np.testing.assert_allclose(placed, boxes[order], atol=1e-3)
     facts = facts_of(boxes[order], scores[order])
     np.testing.assert_allclose(1.0 / (1.0 + np.exp(-facts[:, 0])), scores[order], atol=1e-4)
+
+
+def test_it_says_how_sure_a_person_need_be_where_it_looks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    second = tmp_path / "second.onnx"
+    still = (0.0, 0.0, 0.0, 0.0)
+    monkeypatch.setattr(yolo, "PACKAGED_SECOND_LOOK", second)
+    second.write_bytes(second_net("fragments", 0.0, still, person_score_threshold="0.3"))
+    detector = Detector()
+    assert detector.person_score(all_known=True) == 0.3
+    assert detector.person_score() == detector.score == 0.697
+    assert Detector(score=0.5).person_score(all_known=True) == 0.5
+    first = Detector(yolo.PACKAGED.read_bytes())  # looks once
+    assert first.person_score(all_known=True) == first.score
+    assert operating_scores(DetectSettings()) == (0.697, 0.3)
+    assert operating_scores(DetectSettings(), colour=False) == (0.697, 0.697)
+    assert operating_scores(DetectSettings(inputs="integrals")) == (0.697, 0.697)
+    assert operating_scores(DetectSettings(person_score=0.6), colour=False) == (0.697, 0.6)
+    for colour, of_persons in ((True, 0.3), (False, 0.697)):
+        finder = make_finder(DetectSettings(), 30, colour)
+        assert finder is not None
+        assert (finder.scores.of_persons, finder.looks_at_photos) == (of_persons, colour)
+    second.write_bytes(second_net("fragments", 0.0, still))
+    assert Detector().person_score(all_known=True) == 0.697
+    second.write_bytes(second_net("fragments", 0.0, still, person_score_threshold="likely"))
+    with pytest.raises(ValueError, match="person_score_threshold from 0 to 1"):
+        Detector().person_score(all_known=True)
 
 
 def test_a_network_of_another_kind_is_refused(tmp_path: Path) -> None:

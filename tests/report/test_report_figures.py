@@ -6,16 +6,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hsvaos.detect.detections import Detections
+from hsvaos.camera import Camera, VirtualCamera
+from hsvaos.detect.detections import Detections, Person
 from hsvaos.report import figures
 from hsvaos.report.draw import (
     LEGEND_HEIGHT,
     draw_boxes,
+    draw_rings,
     draw_scale_and_north,
     length_label,
     nice_length,
     with_legend,
 )
+from hsvaos.report.places import box_around, places_of
 
 
 @settings(max_examples=20, deadline=None)
@@ -132,6 +135,28 @@ def test_boxes_are_readable_on_any_ground(ground: int) -> None:
     contrast = np.abs(line - ground).max(axis=-1)
     assert contrast.max() > 100
     assert (drawn[50:60, 45:55, :3] == ground).all()  # the find itself stays free
+
+
+def test_who_has_no_box_gets_a_ring() -> None:
+    camera = Camera.from_fov(120, 80, 60.0)
+    down = [[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, -20], [0, 0, 0, 1]]
+    view = VirtualCamera(camera, np.array(down, dtype=float))
+    ahead, beside = view.project([[2.0, 0.0, 0.0], [0.0, 3.0, 0.0]])
+    persons = [Person(n, e, 0, None, None, 0.2, 0.7, 1) for n, e in ((2, 0), (0, 3), (0, 90))]
+    places = places_of(view, persons)
+    np.testing.assert_allclose(places[:2], [ahead, beside])
+    assert np.isnan(places[2]).all()
+    boxes = np.array([[0, 0, 5, 5], [*(ahead - 6), *(ahead + 6)], [*(ahead - 9), *(ahead + 9)]])
+    assert box_around(places, boxes).tolist() == [1, -1, -1]
+    assert box_around(places, boxes[:0]).tolist() == [-1, -1, -1]
+    assert box_around(places_of(view, []), boxes).tolist() == []
+    picture = np.zeros((80, 120, 4), np.uint8)
+    drawn = draw_rings(picture, places[1:2])
+    assert not picture.any()
+    x, y = np.rint(beside).astype(int)
+    assert drawn[y, x - 16, 0] > 200
+    assert not drawn[y - 8 : y + 8, x - 8 : x + 8].any()  # who lies there stays free
+    np.testing.assert_array_equal(draw_rings(picture, places[:0]), picture)
 
 
 def test_scale_bar_has_the_length_it_says() -> None:

@@ -62,9 +62,9 @@ def test_the_least_score_with_few_false_alarms_from_there_on_is_chosen():
 def test_it_goes_into_the_file_and_nothing_else_changes(tmp_path):
     path = tmp_path / "own.onnx"
     path.write_bytes(own_net([1.0], metadata=OWN))
-    assert Detector(path).person_score == Detector(path).score == 0.4
+    assert Detector(path).person_score() == Detector(path).score == 0.4
     with_person_score(path, 0.25)
     changed = Detector(path)
-    assert (changed.score, changed.person_score, changed.layout) == (0.4, 0.25, "hsvaos")
-    assert Detector(path, score=0.3).person_score == 0.3
+    assert (changed.score, changed.person_score(), changed.layout) == (0.4, 0.25, "hsvaos")
+    assert Detector(path, score=0.3).person_score() == 0.3
     assert [p.name for p in tmp_path.iterdir()] == ["own.onnx"]
