@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import threading
+from collections.abc import Callable
 from dataclasses import replace
 from html import escape
 from http import HTTPStatus
@@ -29,6 +30,13 @@ _PAGE = Path(__file__).with_name("plain.html")
 _WAIT_S = 60.0
 _LONGEST_PX = 1280
 
+_HIDDEN = '<input type="hidden" name="terrain" value="{on}">'
+_CHECKBOX = (
+    '<label title="Follow the relief of the ground: found once, by a look into all photos">'
+    'Relief <input type="checkbox" id="relief" name="terrain" value="1"{checked}></label>'
+)
+_NO_RELIEF = "the settings ask for the relief of the ground, which is found in RGB photos only"
+
 _log = logging.getLogger("hsvaos")
 
 
@@ -49,7 +57,8 @@ class PlainApp(PageServer):
 
     def __init__(self, session: Session, host: str = "127.0.0.1", port: int = 8080) -> None:
         self.session, self.live = session, Live(session)
-        self._lock, self._looking = threading.Lock(), False
+        self._lock, self._running = threading.Lock(), set[str]()
+        self._step, self._failed = "", ""
 
         class Handler(_Handler):
             app = self
@@ -65,19 +74,26 @@ class PlainApp(PageServer):
         """Return the page."""
         session = self.session
         first, last = session.depth_range(session.start.terrain)
-        mask = session.settings.mask
+        mask, notes = session.settings.mask, session.notes
+        if session.settings.focus.relief is True and not session.start.terrain:
+            notes = notes if session.may_find_relief else (*notes, _NO_RELIEF)
+        terrain = _HIDDEN.format(on=int(session.start.terrain))
+        if session.may_find_relief:
+            asked = session.settings.focus.relief is True
+            terrain = _CHECKBOX.format(checked=" checked" if asked else "")
         text = Template(_PAGE.read_text(encoding="utf-8")).substitute(
             name=escape(session.flight.name),
             first=f"{first:.2f}",
             last=f"{last:.2f}",
             down=f"{session.start.down_m:.2f}",
-            terrain=int(session.start.terrain),
+            terrain=terrain,
+            relief_range=json.dumps(session.depth_range(True)),
             sigmas=mask.sigmas,
             photos=len(session.flight) - 1,
             photo=session.flight.centre_index,
             layers=_options(LAYERS, "masked"),
             masks=_options(MASKS, mask.method),
-            notes="".join(f"<li>{escape(note)}</li>" for note in session.notes),
+            notes="".join(f"<li>{escape(note)}</li>" for note in notes),
         )
         return text.encode("utf-8")
 
@@ -123,6 +139,8 @@ class PlainApp(PageServer):
         Raises:
             ValueError: If it cannot be shown.
         """
+        if self._has_no_relief(request):
+            return self._until_relief(request, owner)
         done = threading.Event()
         outcome: list[Any] = []
 
@@ -139,22 +157,79 @@ class PlainApp(PageServer):
             self._look(request)
         return picture
 
+    def at_rest(self, request: Request) -> Request:
+        """Return a request that is to be saved, once what it needs was found.
+
+        Raises:
+            ValueError: If there is no relief of the ground where one is asked for.
+        """
+        if self._has_no_relief(request):
+            note = self.session.find_relief(request.mask)
+            if self.session.terrain is None:
+                raise ValueError(note)
+        return request
+
+    def relief_state(self, request: Request) -> dict[str, Any] | None:
+        """Return what came of the relief that a request asks for, None while it is looked for."""
+        note = self._failed or self.session.relief_note
+        if not request.focus.terrain or note is None:
+            return None
+        return {"found": self.session.terrain is not None, "note": note}
+
+    def _has_no_relief(self, request: Request) -> bool:
+        session = self.session
+        return request.focus.terrain and session.terrain is None and session.may_find_relief
+
+    def _until_relief(self, request: Request, owner: str) -> Picture | None:
+        """Return the picture on the plane, and find the relief in the background."""
+        start = self.session.start
+        plane = replace(start, down_m=start.down_m + request.focus.down_m)
+        picture = self.picture(replace(request, focus=plane), owner)
+        if self._failed or self.session.relief_note is not None:
+            return picture
+
+        def tell(step: str, done: int, total: int) -> None:
+            self._step = f"{step} {done} of {total}"
+
+        def job(wanted: Wanted) -> None:
+            self.session.find_relief(request.mask, wanted, tell)
+
+        def failed(error: Exception) -> None:
+            self._failed = str(error)
+
+        self._once("relief", job, failed)
+        note = f"finding the relief of the ground: {self._step}".rstrip(": ")
+        return None if picture is None else replace(picture, note=note, stand_in=True)
+
     def _look(self, request: Request) -> None:
-        """Look into all photos, in the background and once; the page asks again meanwhile."""
-        with self._lock:
-            if self._looking:
-                return
-            self._looking = True
+        """Look into all photos; the page asks again meanwhile."""
 
         def job(wanted: Wanted) -> None:
             self.session.look(request.mask, wanted)
-            self._looking = False
 
         def failed(error: Exception) -> None:
-            self._looking = False
             _log.warning("the photos could not be looked into: %s", error)
 
-        self.live.background(self, "look", job, failed)
+        self._once("look", job, failed)
+
+    def _once(
+        self, kind: str, job: Callable[[Wanted], None], failed: Callable[[Exception], None]
+    ) -> None:
+        """Do something in the background, unless it is being done."""
+        with self._lock:
+            if kind in self._running:
+                return
+            self._running.add(kind)
+
+        def done(wanted: Wanted) -> None:
+            job(wanted)
+            self._running.discard(kind)
+
+        def gone_wrong(error: Exception) -> None:
+            failed(error)
+            self._running.discard(kind)
+
+        self.live.background(self, kind, done, gone_wrong)
 
 
 class _Handler(Answers):
@@ -172,7 +247,7 @@ class _Handler(Answers):
             elif parts.path == "/picture.jpg":
                 self._picture(values)
             elif parts.path == "/picture.png":
-                picture = self.app.session.render(self.app.request(values))
+                picture = self.app.session.render(self.app.at_rest(self.app.request(values)))
                 self.send(png(picture.rgb), "image/png", save="hsvaos.png")
             elif parts.path == "/settings.toml":
                 text = settings_toml(self.app.session, self.app.request(values))
@@ -184,7 +259,8 @@ class _Handler(Answers):
             self.send(text.encode(), "text/plain; charset=utf-8", HTTPStatus.BAD_REQUEST)
 
     def _picture(self, values: dict[str, str]) -> None:
-        picture = self.app.picture(self.app.request(values), values.get("tab", ""))
+        request = self.app.request(values)
+        picture = self.app.picture(request, values.get("tab", ""))
         if picture is None:
             self.send(b"", "text/plain", HTTPStatus.NO_CONTENT)
             return
@@ -196,6 +272,7 @@ class _Handler(Answers):
             "full": picture.quality.full,
             "note": picture.note,
             "soon": picture.stand_in,
+            "relief": self.app.relief_state(request),
         }
         extra = {"X-Status": json.dumps(status)}
         self.send(jpeg(picture.rgb), "image/jpeg", extra=extra)

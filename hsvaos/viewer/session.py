@@ -190,6 +190,11 @@ class Session:
                 self.terrain = self._relief[0]
             return self._relief[1]
 
+    @property
+    def relief_note(self) -> str | None:
+        """The line about the relief of the ground; None before `find_relief` was done."""
+        return None if self._relief is None else self._relief[1]
+
     def surface(self, focus: Focus) -> FocalSurface:
         """Return the focal surface of a request.
 

@@ -18,6 +18,7 @@ from hsvaos.settings import Settings
 from hsvaos.viewer.app import App
 from hsvaos.viewer.geometry import browser_view
 from hsvaos.viewer.picture import integral_picture
+from hsvaos.viewer.plain import PlainApp
 from hsvaos.viewer.request import Focus, Request
 from hsvaos.viewer.session import Session
 from hsvaos.viewer.tab import Tab
@@ -316,3 +317,42 @@ def test_bare_values_from_the_wire_are_refused_and_named(app: App, page: Any) ->
     settled(tab)
     assert tab.last is not shown
     assert tab.last.focus == Focus(-3.0)
+
+
+def test_the_plain_page_follows_the_relief_and_comes_back(browser: Any) -> None:
+    small = Settings().with_values(photos={"scale": 0.5}, focus={"relief": True})
+    plain = PlainApp(Session.open(hsvaos.open_flight(FOLDER), small), port=0)
+    page = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
+    try:
+        page.goto(plain.url)
+        notes = page.locator("#notes")
+        until(lambda: "relief of the ground" in notes.inner_text(), 120.0)
+        depth, follows = page.locator("input[name=down]"), page.locator("#relief")
+        assert follows.is_checked()
+        assert float(depth.input_value()) == 0.0
+        first = float(depth.get_attribute("min"))
+        follows.uncheck()
+        assert float(depth.input_value()) == pytest.approx(plain.session.start.down_m, abs=0.01)
+        assert float(depth.get_attribute("min")) == pytest.approx(
+            plain.session.depth_range(False)[0], abs=0.01
+        )
+        page.keyboard.press("PageDown")
+        lower = float(depth.input_value())
+        follows.check()
+        assert float(depth.get_attribute("min")) == first
+        follows.uncheck()
+        assert float(depth.input_value()) == lower  # the plane is where it was
+        assert notes.inner_text().count("relief of the ground") == 1
+
+        def fails(*_: object) -> str:
+            raise ValueError("the photos are gone")
+
+        plain.session.terrain = plain.session._relief = None
+        plain.session.find_relief = fails  # type: ignore[method-assign]
+        follows.check()
+        until(lambda: "the photos are gone" in notes.inner_text())
+        assert not follows.is_checked()
+        assert float(depth.input_value()) == lower
+    finally:
+        page.close()
+        plain.close()

@@ -79,6 +79,62 @@ def test_the_trees_vanish_once_all_photos_were_looked_into() -> None:
         own.close()
 
 
+def test_the_relief_of_the_ground_is_found_once_and_followed() -> None:
+    asked = Settings().with_values(photos={"scale": 0.5}, focus={"relief": True})
+    own = PlainApp(Session.open(hsvaos.open_flight(FOLDER), asked), port=0)
+    try:
+        page = get(own, "/")[2].decode()
+        assert 'name="terrain" value="1" checked>' in page
+        states, pictures = [], []
+        end = time.monotonic() + 120.0
+        while (not states or states[-1]["soon"]) and time.monotonic() < end:
+            values = {"tab": "a", "layer": "plain", "size": 256, "terrain": 1, "down": 0.0}
+            status, headers, content = get(own, "/picture.jpg", **values)
+            assert status == 200
+            states.append(json.loads(headers["X-Status"]))
+            pictures.append(cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR))
+            time.sleep(0.2)
+        assert states[0]["soon"]
+        assert states[0]["relief"] is None
+        assert "finding the relief of the ground" in states[0]["note"]
+        assert states[-1]["relief"]["found"]
+        assert "about the focal plane" in states[-1]["relief"]["note"]
+        request = own.request({"terrain": "1", "down": "0", "layer": "plain", "size": "256"})
+        assert request.focus.terrain
+        expected = own.session.render(request).rgb[..., ::-1].astype(int)
+        assert np.abs(pictures[-1] - expected).mean() < 4.0
+        assert np.abs(pictures[0] - expected).mean() > 4.0  # till then: the plane
+        toml = get(own, "/settings.toml", terrain=1, down=0.0)[2].decode()
+        assert Settings.from_toml(toml).focus.relief is True
+        plane = json.loads(get(own, "/picture.jpg", layer="plain")[1]["X-Status"])
+        assert (plane["relief"], plane["soon"]) == (None, False)
+    finally:
+        own.close()
+
+
+def test_where_no_relief_is_found_the_page_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    small = Settings().with_values(photos={"scale": 0.25})
+    own = PlainApp(Session.open(hsvaos.open_flight(FOLDER), small), port=0)
+    try:
+        assert 'value="1"></label>' in get(own, "/")[2].decode()  # nobody asked for it yet
+
+        def fails(*_: object) -> str:
+            raise ValueError("the photos are gone")
+
+        monkeypatch.setattr(own.session, "find_relief", fails)
+        end, state = time.monotonic() + 30.0, {"soon": True}
+        while state["soon"] and time.monotonic() < end:
+            state = json.loads(get(own, "/picture.jpg", terrain=1, down=0.5)[1]["X-Status"])
+        assert state["relief"] == {"found": False, "note": "the photos are gone"}
+        monkeypatch.undo()
+        note = "too few rays of the ground agree"
+        monkeypatch.setattr(own.session, "find_relief", lambda *_: note)
+        status, _, content = get(own, "/picture.png", terrain=1, down=0.5)
+        assert (status, content.decode()) == (400, note)
+    finally:
+        own.close()
+
+
 def test_saved_settings_and_pictures(app: PlainApp) -> None:
     status, headers, content = get(app, "/settings.toml", down=-1.5, sigmas=1.25, radius=8)
     assert status == 200
@@ -105,13 +161,24 @@ def test_saved_settings_and_pictures(app: PlainApp) -> None:
         ({"sigmas": "0"}, "mask.sigmas must be a positive number"),
         ({"mask": "magic"}, "mask.method must be one of"),
         ({"layer": "x-ray"}, "layer must be one of"),
-        ({"terrain": "1"}, "there is no terrain"),
     ],
 )
 def test_absurd_values_are_named(app: PlainApp, values: dict[str, str], message: str) -> None:
     status, _, content = get(app, "/picture.jpg", **values)
     assert status == 400
     assert message in content.decode()
+
+
+def test_where_no_relief_can_be_found_nobody_is_offered_one(
+    app: PlainApp, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Session, "may_find_relief", False)
+    assert b'type="checkbox"' not in get(app, "/")[2]
+    status, _, content = get(app, "/picture.jpg", terrain=1)
+    assert (status, "there is no terrain" in content.decode()) == (400, True)
+    asked = app.session.settings.with_values(focus={"relief": True})
+    monkeypatch.setattr(app.session, "settings", asked)
+    assert b"found in RGB photos only" in get(app, "/")[2]
 
 
 def test_other_paths_are_not_found(app: PlainApp) -> None:
