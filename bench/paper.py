@@ -455,7 +455,7 @@ def main() -> int:
     errors = commands.add_parser("poses")
     errors.add_argument("flights", type=Path)
     errors.add_argument("results", type=Path)
-    for name in ("table", "ablation", "persons"):
+    for name in ("table", "rows", "ablation", "persons"):
         commands.add_parser(name).add_argument("results", type=Path)
     asked = parser.parse_args()
     if asked.command == "run":
@@ -472,9 +472,14 @@ def main() -> int:
     elif asked.command == "poses":
         pose_errors(asked.flights, asked.results)
     else:
-        from paper_tables import write_ablation, write_page, write_persons
+        from paper_tables import write_ablation, write_page, write_persons, write_rows
 
-        write = {"table": write_page, "ablation": write_ablation, "persons": write_persons}
+        write = {
+            "table": write_page,
+            "rows": write_rows,
+            "ablation": write_ablation,
+            "persons": write_persons,
+        }
         write[asked.command](asked.results)
     return 0
 

@@ -1,5 +1,7 @@
 """The score from which a find counts for a person, chosen by flights (extra `train`)."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -10,10 +12,22 @@ from bench.paper import Measured
 from hsvaos import Camera, Detector, VirtualCamera
 from hsvaos.detect.detections import Detections
 from hsvaos.detect.locate import ViewFinds
-from hsvaos.evaluate.truth import TruthPerson
+from hsvaos.detect.network import Network
+from hsvaos.detect.network_input import CHANNELS
+from hsvaos.detect.second_look import LOOK_PX, SecondLook
+from hsvaos.evaluate.results import JudgedView
+from hsvaos.evaluate.truth import TruthBox, TruthPerson
 from tests.detect.nets import OWN, own_net
 from tests.kernels.test_integrate import looking_down
-from train.persons import chosen, rows_of, with_person_score
+from train.persons import (
+    box_rows,
+    brought_to,
+    chosen,
+    chosen_for_boxes,
+    rows_of,
+    with_person_score,
+)
+from train.second_net import MeanOfNets, SecondNet, export_second
 
 
 def person(north, east, rays=5.0):
@@ -57,6 +71,57 @@ def test_the_least_score_with_few_false_alarms_from_there_on_is_chosen():
     assert chosen(rows, most=3.0) == 0.4
     with pytest.raises(ValueError, match=r"0\.1 false alarms a flight"):
         chosen(rows, most=0.1)
+
+
+def judged(finds):
+    """Boxes (score, whether right) of one view."""
+    places = np.arange(len(finds), dtype=np.float32)[:, None] * np.array([40, 0, 40, 0])
+    boxes = places + np.array([0, 0, 20, 20], np.float32)
+    scores = np.array([score for score, _ in finds], np.float32)
+    found = Detections(boxes.astype(np.float32), scores, np.zeros(len(finds), np.int64))
+    there = [box for box, (_, right) in zip(boxes.tolist(), finds, strict=True) if right]
+    people = tuple(person(0.0, float(k)) for k in range(len(there)))
+    truth = tuple(TruthBox(one.id, tuple(box), 1.0) for one, box in zip(people, there, strict=True))
+    return Measured("one", (JudgedView("a", found, truth),), (), people, 0.4)
+
+
+def test_boxes_need_a_precision_that_a_search_will_have():
+    some = [(0.9, True)] * 54 + [(0.6, True)] * 36 + [(0.5, False)] + [(0.4, False)] * 9
+    rows = box_rows([judged(some)], (0.3, 0.45, 0.55, 0.8))
+    assert [(row.right, row.wrong) for row in rows] == [(90, 10), (90, 1), (90, 0), (54, 0)]
+    many = -np.log(0.2)  # of none seen
+    assert rows[2].precision == pytest.approx(54.0 / (54.0 + many), abs=1e-6)
+    assert rows[3].precision == pytest.approx(32.4 / (32.4 + many), abs=1e-6)
+    assert rows[1].precision == pytest.approx(54.0 / (54.0 + 2.994), abs=1e-3)
+    assert chosen_for_boxes(rows) == 0.55
+    assert chosen_for_boxes(rows, 0.94) == 0.45
+    assert chosen_for_boxes(rows, 0.999) == 0.55  # the best there is
+
+
+def test_a_second_look_is_brought_to_both_scores(tmp_path):
+    def logit(p):
+        return np.log(p / (1.0 - p))
+
+    by = logit(0.7) - logit(0.8)
+    path = tmp_path / "second.onnx"
+    net = MeanOfNets([SecondNet(), SecondNet()])
+    export_second(net, path, 0.3, {"seeds": [1, 2]})
+    patches = np.random.default_rng(1).normal(size=(3, len(CHANNELS) + 1, LOOK_PX, LOOK_PX))
+    facts = np.random.default_rng(2).normal(size=(3, 3))
+    feeds = {"input": patches, "facts": facts}
+    before = Network(path).run(feeds)
+    brought_to(path, 0.7, 0.8, 0.6)
+    after, look = Network(path).run(feeds), SecondLook(path)
+    assert json.loads(Network(path).metadata["training"])["shift"] == round(0.3 + by, 4)
+
+    np.testing.assert_allclose(logit(after["scores"]), logit(before["scores"]) + by, atol=1e-4)
+    np.testing.assert_array_equal(after["shifts"], before["shifts"])
+    assert look.person_score is not None
+    assert logit(look.person_score) == pytest.approx(logit(0.6) + by, abs=0.003)
+    assert [p.name for p in tmp_path.iterdir()] == ["second.onnx"]
+    path.write_bytes(own_net([1.0], metadata=OWN))
+    with pytest.raises(ValueError, match="the sigmoid of logits and a shift"):
+        brought_to(path, 0.7, 0.8, 0.6)
 
 
 def test_it_goes_into_the_file_and_nothing_else_changes(tmp_path):
