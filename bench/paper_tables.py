@@ -84,8 +84,8 @@ PERSONS = (
     "found 29 and 30 % of the people with true and EKF poses, the paper's form 9 and 7 %. Other "
     "scores (`person_score` under `[detect]`, .653 by default) give, on these twenty flights with "
     "true poses: .697, that of boxes, 112 people and .2 false alarms a flight, .60 137 (79 %) and "
-    "1.55, .55 141 and 2.35, .50 146 (84 %) and 3.3, .45 149 and 5. Half of these false alarms are in "
-    "the five flights in snow.\n"
+    "1.55, .55 141 and 2.35, .50 146 (84 %) and 3.3, .45 149 and 5. Half of these false alarms are "
+    "in the five flights in snow.\n"
 )
 
 ABLATION = (
