@@ -128,17 +128,22 @@ def test_the_depth_slider_changes_the_picture_to_the_one_of_the_api(app: App, pa
     start = request.focus.down_m
     assert unlike(first, by_the_api(tab.session, request, start)) < 4.0
 
-    thumb = page.get_by_role("slider").first
-    thumb.focus()
-    for _ in range(60):
-        thumb.press("ArrowLeft")
-    until(lambda: tab.last is not None and tab.last.focus.down_m == pytest.approx(start - 3.0))
+    place = page.get_by_role("slider").first.bounding_box()
+    x, y = place["x"] + 0.5 * place["width"], place["y"] + 0.5 * place["height"]
+    page.mouse.move(x, y)  # dragged: arrow keys turn the browser's camera too
+    page.mouse.down()
+    page.mouse.move(x - 20.0, y, steps=5)
+    page.mouse.up()
+    until(lambda: tab.last is not None and tab.last.focus.down_m < start - 1.0)
     settled(tab)
     page.wait_for_timeout(1500)
     second = on_screen(page)
     asked = tab.last
     assert asked is not None
-    assert unlike(second, by_the_api(tab.session, asked, start - 3.0)) < 4.0
+    np.testing.assert_allclose(
+        asked.view.world_from_camera, request.view.world_from_camera, atol=1e-6
+    )
+    assert unlike(second, by_the_api(tab.session, asked, asked.focus.down_m)) < 4.0
     assert unlike(second, by_the_api(tab.session, asked, start)) > 6.0
     assert unlike(second, first) > 6.0
 
