@@ -55,26 +55,26 @@ STORY = (
     "false alarms (at most one a flight; 1.4 in snow) and of the error of positions are. "
     "hsvaos is far ahead of the plain mean and of the paper's form on every forest here, and "
     "of the paper's printed figures in summer, where the paper is weakest; the paper's "
-    "printed .99 in fall is not reached by anything here, its own form least. The mean of the"
-    " eight rows is .82, where the plain mean has .45 and the paper's form .26. People in the"
-    " open are found in nearly every view, half hidden ones in eight to ten tenths of them; "
+    "printed .99 in fall is not reached by anything here, its own form least. The mean of the "
+    "eight rows is .82, where the plain mean has .45 and the paper's form .26. People in the "
+    "open are found in nearly every view, half hidden ones in eight to ten tenths of them; "
     "those who are fully occluded or under a bush are mostly missed, but for the bushes of "
     "snow: few rays reach them. Of the 174 people who are reached 125 are found at the "
     "default threshold of persons with true poses (72 %, wanted 95 %), 126 with EKF poses, "
     "with .7 and .8 false alarms a flight. Single flights lie far apart: see the column with "
-    "their AP. Before the relief of the ground was found, with the same networks on the focal"
-    " plane, the mean was .80 at IoU .25 (.859/.828, .661/.661, .764/.775 and .924/.921, in "
+    "their AP. Before the relief of the ground was found, with the same networks on the focal "
+    "plane, the mean was .80 at IoU .25 (.859/.828, .661/.661, .764/.775 and .924/.921, in "
     "the order of the table) and .55 at IoU .50, where it is .69 now (.553/.561, .389/.466, "
     ".428/.484 and .748/.737); as many people were found (118, in every twelfth view) and as "
-    "many boxes right, at the threshold before, but the error of nine in ten places lay below"
-    " .29 to .46 m, where it is .20 to .41 m now. Boxes and persons have thresholds of their "
+    "many boxes right, at the threshold before, but the error of nine in ten places lay below "
+    ".29 to .46 m, where it is .20 to .41 m now. Boxes and persons have thresholds of their "
     "own, chosen on six tuning flights in such views (`python -m train.persons`): the least "
     "score from which 95 of 100 boxes would be right in a search, with as many wrong ones as "
     "there may well be (80 %), and the least one that leaves a false alarm a flight (95 %). "
-    "That for boxes was settled after these twenty flights had been judged by two others: the"
-    " one before, with which .93 of the boxes are right (291 right ones with true and 300 "
-    "with EKF poses, where 258 and 255 are now), and one chosen in greater doubt (95 %) on 26"
-    " tuning flights (.996 and .988; 227 and 237 right ones).\n"
+    "That for boxes was settled after these twenty flights had been judged by two others: the "
+    "one before, with which .93 of the boxes are right (291 right ones with true and 300 with "
+    "EKF poses, where 258 and 255 are now), and one chosen in greater doubt (95 %) on 26 "
+    "tuning flights (.996 and .988; 227 and 237 right ones).\n"
 )
 PERSONS_TITLE = "## Persons on the ground\n\n"
 PERSONS = (
@@ -341,7 +341,7 @@ def write_rows(folder: Path) -> None:
     head = before[: before.index(REACHED)] + f"{REACHED}\n{STORY}\n"
     lines = (head + story + poses).splitlines()
     PAGE.write_text("\n".join(fresh.get(_kind(line), line) for line in lines) + "\n", "utf-8")
-    write_persons(folder)
+    _write_section(PERSONS_TITLE, persons(made))
 
 
 def _kind(row: str) -> tuple[str, ...]:

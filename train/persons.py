@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import json
 import pickle
-import shutil
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -203,9 +202,13 @@ def with_person_score(model: Path, score: float) -> None:
     part.replace(model)
 
 
+def _kept_file(kept: Path, folder: Path) -> Path:
+    return kept / f"{folder.name}.pickle"
+
+
 def _measured(folder: Path, kept: Path) -> Measured:
     """Return what our method finds in a flight, from what is kept if that is there."""
-    path = kept / f"{folder.name}.pickle"
+    path = _kept_file(kept, folder)
     if path.exists():
         found = pickle.loads(path.read_bytes())
         if not isinstance(found, Measured):
@@ -246,7 +249,8 @@ def main() -> int:
     print(f"chosen: {of_persons:.3f} for persons, {of_boxes:.3f} for boxes")
     if asked.model is not None:
         brought_to(asked.model, Detector().score, of_boxes, of_persons)
-        shutil.rmtree(kept)  # found with the scores before
+        for folder in folders:  # found with the scores before
+            _kept_file(kept, folder).unlink()
     return 0
 
 

@@ -170,9 +170,14 @@ class PlainApp(PageServer):
         return request
 
     def relief_state(self, request: Request) -> dict[str, Any] | None:
-        """Return what came of the relief that a request asks for, None while it is looked for."""
-        note = self._failed or self.session.relief_note
-        if not request.focus.terrain or note is None:
+        """Return what came of the relief that a request asks for, None while it is looked for.
+
+        What went wrong is told once: who asks again has it tried again.
+        """
+        if not request.focus.terrain:
+            return None
+        note, self._failed = self._failed or self.session.relief_note, ""
+        if note is None:
             return None
         return {"found": self.session.terrain is not None, "note": note}
 
@@ -185,8 +190,10 @@ class PlainApp(PageServer):
         start = self.session.start
         plane = replace(start, down_m=start.down_m + request.focus.down_m)
         picture = self.picture(replace(request, focus=plane), owner)
-        if self._failed or self.session.relief_note is not None:
+        if picture is None or self._failed:
             return picture
+        if self.session.relief_note is not None:  # found meanwhile, or sought in vain
+            return replace(picture, stand_in=self.session.terrain is not None)
 
         def tell(step: str, done: int, total: int) -> None:
             self._step = f"{step} {done} of {total}"
@@ -199,7 +206,7 @@ class PlainApp(PageServer):
 
         self._once("relief", job, failed)
         note = f"finding the relief of the ground: {self._step}".rstrip(": ")
-        return None if picture is None else replace(picture, note=note, stand_in=True)
+        return replace(picture, note=note, stand_in=True)
 
     def _look(self, request: Request) -> None:
         """Look into all photos; the page asks again meanwhile."""
