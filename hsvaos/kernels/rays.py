@@ -17,8 +17,11 @@ from hsvaos.surface import FocalPlane, FocalSurface, FocalTerrain
 
 wp.set_module_options({"enable_backward": False})
 
-_BISECTIONS = 20
-"""Halvings of a step that crossed the terrain: a step of 1 m ends below a micrometre."""
+_NARROWINGS = 20
+"""Of a step that crossed the terrain, at most: were all halvings, 1 m would end as a micrometre."""
+
+_CLOSE_M = 2.0e-6
+"""Height over the terrain that is none: float32 tells no less apart some 20 m from the camera."""
 
 
 _heights: WeakKeyDictionary[FocalTerrain, dict[str, Any]] = WeakKeyDictionary()
@@ -100,6 +103,60 @@ def plane_hit(
 
 
 @wp.func
+def _depth(
+    origin: wp.vec3,
+    direction: wp.vec3,
+    t: float,
+    terrain: Terrain,
+    down: wp.array2d(dtype=float),
+) -> float:
+    """How far a point of a ray lies below the height field [m]; NaN where there is none."""
+    place = origin + t * direction
+    return place[2] - terrain_down(place[0], place[1], terrain, down)
+
+
+@wp.func
+def _crossing(
+    origin: wp.vec3,
+    direction: wp.vec3,
+    terrain: Terrain,
+    down: wp.array2d(dtype=float),
+    above: float,
+    below: float,
+    height: float,
+    depth: float,
+) -> float:
+    """Where between two points a ray crosses the height field, given their depths (< 0, >= 0)."""
+    low = above
+    high = below
+    f_low = height
+    f_high = depth
+    kept = int(0)
+    for _ in range(_NARROWINGS):
+        middle = high - f_high * (high - low) / (f_high - f_low)
+        if not (middle > low and middle < high):
+            middle = 0.5 * (low + high)
+        f = _depth(origin, direction, middle, terrain, down)
+        if wp.abs(f) <= _CLOSE_M:
+            return middle
+        if f < 0.0:
+            low = middle
+            f_low = f
+            if kept == 1:  # the other end stayed twice: it counts half
+                f_high = 0.5 * f_high
+            kept = int(1)
+        else:
+            high = middle
+            f_high = f
+            if wp.isnan(f):  # a hole: halve
+                f_high = -f_low
+            elif kept == 2:
+                f_low = 0.5 * f_low
+            kept = int(2)
+    return high
+
+
+@wp.func
 def terrain_hit(
     origin: wp.vec3,
     direction: wp.vec3,
@@ -110,8 +167,9 @@ def terrain_hit(
     """First point where a falling ray goes below the height field, and 1; or 0 where it misses.
 
     The ray is followed from the highest to the lowest level of the terrain in steps of at most
-    half a grid cell over the ground, and the step that crosses is halved. Rays that do not fall
-    (towards or above the horizon) meet no ground.
+    half a grid cell over the ground. The step that crosses is narrowed by the Illinois form of the
+    rule of false position (Dowell and Jarratt 1971). Rays that do not fall (towards or above the
+    horizon) meet no ground.
     """
     nothing = wp.vec4(0.0, 0.0, 0.0, 0.0)
     if direction[2] <= 1.0e-6:
@@ -126,29 +184,23 @@ def terrain_hit(
     steps = wp.min(int(2.0 * across / terrain.spacing) + 1, 100000)
     step = (stop - start) / float(steps)
     before = start
+    height = float(-1.0)
     above = int(0)
     for k in range(steps + 1):
         t = start + float(k) * step
-        place = origin + t * direction
-        surface = terrain_down(place[0], place[1], terrain, down)
-        if wp.isnan(surface):
+        depth = _depth(origin, direction, t, terrain, down)
+        if wp.isnan(depth):
             above = int(0)
-        elif place[2] < surface:
+        elif depth < 0.0:
             above = int(1)
             before = t
+            height = depth
         else:
             if above == 0 and k > 0:
                 return nothing
-            low = before
-            high = t
-            for _ in range(_BISECTIONS):
-                middle = 0.5 * (low + high)
-                there = origin + middle * direction
-                if there[2] < terrain_down(there[0], there[1], terrain, down):
-                    low = middle
-                else:
-                    high = middle
-            hit = origin + high * direction
+            if above == 1:
+                t = _crossing(origin, direction, terrain, down, before, t, height, depth)
+            hit = origin + t * direction
             return wp.vec4(hit[0], hit[1], hit[2], 1.0)
     return nothing
 
