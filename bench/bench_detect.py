@@ -92,8 +92,7 @@ def second_looks() -> Contenders:
     boxes = np.concatenate([corners, corners + rng.uniform(15, 40, (LOOKS, 2))], axis=1)
     boxes, scores = boxes.astype(np.float32), np.full(LOOKS, 0.5, np.float32)
     second, alone = SecondLook(provider="cpu"), Network(PACKAGED_SECOND_LOOK, "cpu")
-    held = np.ascontiguousarray(np.moveaxis(planes, 0, 2))
-    views = np.ascontiguousarray(np.moveaxis(np.stack([patch(held, b) for b in boxes]), 3, 1))
+    views = np.stack([patch(planes, box) for box in boxes])
     feeds = {alone.picture.name: views, "facts": facts_of(boxes, scores)}
     network = cv2.dnn.readNetFromONNX(str(PACKAGED_SECOND_LOOK))
 

@@ -75,7 +75,7 @@ def drawn(look: Look, index: int, rng: np.random.Generator) -> tuple[Any, ...]:
     if rng.uniform() < 0.5:
         side = int(rng.integers(72, 90))
         zoom = LOOK_PX / side
-    view = patch(look.layers, box, side)
+    view = np.moveaxis(patch(np.moveaxis(look.layers, 2, 0), box, side), 0, 2)
     origin = np.tile(corner_of(box, side), 2)
     box, person = box - origin, person - origin
     if side != LOOK_PX:

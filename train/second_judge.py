@@ -35,14 +35,14 @@ def looked_again(net: nn.Module, look: Look) -> tuple[NDArray[np.float32], NDArr
         net: The network.
         look: The map.
     """
-    layers = np.ascontiguousarray(look.layers)
+    planes = np.ascontiguousarray(np.moveaxis(look.layers, 2, 0))
     logits, shifts = [np.zeros(0, np.float32)], [np.zeros((0, 4), np.float32)]
     for first in range(0, len(look.boxes), _BATCH):
         some = slice(first, first + _BATCH)
-        views = np.stack([patch(layers, box) for box in look.boxes[some]])
+        views = np.stack([patch(planes, box) for box in look.boxes[some]])
         facts = facts_of(look.boxes[some], look.scores[some])
         with torch.no_grad():
-            found = net(torch.from_numpy(views).permute(0, 3, 1, 2), torch.from_numpy(facts))
+            found = net(torch.from_numpy(views), torch.from_numpy(facts))
         logits.append(found[0].numpy())
         shifts.append(found[1].numpy())
     scores = 1.0 / (1.0 + np.exp(-np.concatenate(logits)))

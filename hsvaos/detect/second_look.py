@@ -100,13 +100,12 @@ class SecondLook:
         """
         placed = [np.zeros((0, 4), np.float32)]
         sure = [np.zeros(0, np.float32)]
-        layers = np.ascontiguousarray(np.moveaxis(planes, 0, 2))
         for first in range(0, len(boxes), _BATCH):
             some = slice(first, first + _BATCH)
-            views = np.stack([patch(layers, box) for box in boxes[some]])
+            views = np.stack([patch(planes, box) for box in boxes[some]])
             found = self._network.run(
                 {
-                    self._network.picture.name: np.moveaxis(views, 3, 1),
+                    self._network.picture.name: views,
                     "facts": facts_of(boxes[some], scores[some]),
                 }
             )
@@ -115,30 +114,30 @@ class SecondLook:
         return np.concatenate(placed), np.concatenate(sure)
 
 
-def patch(layers: Array, box: Array, side: int = LOOK_PX) -> NDArray[np.float32]:
+def patch(planes: Array, box: Array, side: int = LOOK_PX) -> NDArray[np.float32]:
     """Return what lies around a box, and which pixels of it are in the box.
 
     Args:
-        layers: Shape (H, W, C), channels last.
+        planes: Shape (C, H, W).
         box: Corners, pixel centres at integers [px].
         side: Of the patch [px].
 
     Returns:
-        Shape (side, side, C + 1); beyond the view everything is 0.
+        Shape (C + 1, side, side); beyond the view everything is 0.
     """
-    height, width, channels = layers.shape
+    channels, height, width = planes.shape
     left, top = corner_of(box, side)
-    out = np.zeros((side, side, channels + 1), dtype=np.float32)
+    out = np.zeros((channels + 1, side, side), dtype=np.float32)
     rows = slice(max(0, top), min(height, top + side))
     columns = slice(max(0, left), min(width, left + side))
     if rows.start < rows.stop and columns.start < columns.stop:
-        part = layers[rows, columns]
+        part = planes[:, rows, columns]
         y, x = rows.start - top, columns.start - left
-        out[y : y + part.shape[0], x : x + part.shape[1], :channels] = part
+        out[:channels, y : y + part.shape[1], x : x + part.shape[2]] = part
     at = np.arange(side, dtype=np.float32)
     inside_x = (at >= box[0] - left) & (at <= box[2] - left)
     inside_y = (at >= box[1] - top) & (at <= box[3] - top)
-    out[..., channels] = inside_y[:, None] & inside_x[None, :]
+    out[channels] = inside_y[:, None] & inside_x[None, :]
     return out
 
 

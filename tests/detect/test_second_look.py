@@ -33,15 +33,15 @@ SIDES = st.integers(8, 480).map(lambda eighths: eighths / 8.0)
 def test_a_patch_is_a_window_of_the_view_with_zeros_around_it(
     left: float, top: float, width: float, height: float, side: int
 ) -> None:
-    layers = np.random.default_rng(0).normal(size=(70, 90, 3)).astype(np.float32)
+    planes = np.random.default_rng(0).normal(size=(3, 70, 90)).astype(np.float32)
     box = np.array([left, top, left + width, top + height], np.float32)
-    found = patch(layers, box, side)
+    found = patch(planes, box, side)
     around = 300
-    wide = np.pad(layers, ((around, around), (around, around), (0, 0)))
+    wide = np.pad(planes, ((0, 0), (around, around), (around, around)))
     x, y = corner_of(box, side)
-    want = wide[y + around : y + around + side, x + around : x + around + side]
-    np.testing.assert_array_equal(found[..., :3], want)
-    rows, columns = np.nonzero(found[..., 3])
+    want = wide[:, y + around : y + around + side, x + around : x + around + side]
+    np.testing.assert_array_equal(found[:3], want)
+    rows, columns = np.nonzero(found[3])
     inside = {
         (r, c)
         for r in range(side)

@@ -130,7 +130,7 @@ def test_the_second_look_learns_and_is_exported_as_it_was_trained(tmp_path):
     boxes, scores = shipped(planes, look.boxes, look.scores)
     views = [np.float32(one) for one in (look.boxes, look.scores)]
     with torch.no_grad():
-        patches = torch.from_numpy(np.moveaxis(_patches(look), 3, 1))
+        patches = torch.from_numpy(_patches(look))
         want = ExportedSecond(net)(patches, torch.from_numpy(facts_of(*views)))
     logits = np.log(scores / (1.0 - scores)) - 0.4
     np.testing.assert_allclose(1.0 / (1.0 + np.exp(-logits)), want[0].numpy(), atol=2e-3)
@@ -143,7 +143,7 @@ def test_the_second_look_learns_and_is_exported_as_it_was_trained(tmp_path):
 def _patches(look):
     from hsvaos.detect.second_look import patch
 
-    return np.stack([patch(look.layers, box) for box in look.boxes])
+    return np.stack([patch(np.moveaxis(look.layers, 2, 0), box) for box in look.boxes])
 
 
 def test_two_networks_are_asked_together():
