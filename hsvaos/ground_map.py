@@ -71,7 +71,8 @@ class GroundMap:
         Drawn so, unseen ground does not darken what lies beside it.
         """
         return {
-            name: np.dstack([image * footprint[..., None], footprint])
+            # not np.dstack of the product: twice as long
+            name: cv2.merge([*(plane * footprint for plane in np.moveaxis(image, 2, 0)), footprint])
             for name, (image, footprint) in self.layers.items()
         }
 
