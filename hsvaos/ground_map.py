@@ -70,11 +70,13 @@ class GroundMap:
 
         Drawn so, unseen ground does not darken what lies beside it.
         """
-        return {
-            # not np.dstack of the product: twice as long
-            name: cv2.merge([*(plane * footprint for plane in np.moveaxis(image, 2, 0)), footprint])
-            for name, (image, footprint) in self.layers.items()
-        }
+        return {name: _weighed(image, rays) for name, (image, rays) in self.layers.items()}
+
+
+def _weighed(image: NDArray[np.float32], footprint: NDArray[np.float32]) -> NDArray[np.float32]:
+    planes = [plane * footprint for plane in np.moveaxis(image, 2, 0)]
+    # not np.dstack of the product: twice as long
+    return np.asarray(cv2.merge([*planes, footprint]), dtype=np.float32)
 
 
 def _resampled(sums: NDArray[np.float32], x: NDArray[np.float32], y: NDArray[np.float32]) -> Layer:
