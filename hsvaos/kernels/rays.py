@@ -123,15 +123,15 @@ def _crossing(
     down: wp.array2d(dtype=float),
     above: float,
     below: float,
-    height: float,
-    depth: float,
+    depth_above: float,
+    depth_below: float,
 ) -> float:
-    """Where between two points a ray crosses the height field, given their depths (< 0, >= 0)."""
+    """Where between a point above the height field (depth < 0) and one below it a ray crosses."""
     low = above
     high = below
-    f_low = height
-    f_high = depth
-    kept = int(0)
+    f_low = depth_above
+    f_high = depth_below
+    moved = int(0)
     for _ in range(_NARROWINGS):
         middle = high - f_high * (high - low) / (f_high - f_low)
         if not (middle > low and middle < high):
@@ -142,17 +142,17 @@ def _crossing(
         if f < 0.0:
             low = middle
             f_low = f
-            if kept == 1:  # the other end stayed twice: it counts half
+            if moved == 1:  # the other end stayed twice: it counts half
                 f_high = 0.5 * f_high
-            kept = int(1)
+            moved = int(1)
         else:
             high = middle
             f_high = f
             if wp.isnan(f):  # a hole: halve
                 f_high = -f_low
-            elif kept == 2:
+            elif moved == 2:
                 f_low = 0.5 * f_low
-            kept = int(2)
+            moved = int(2)
     return high
 
 
@@ -184,7 +184,7 @@ def terrain_hit(
     steps = wp.min(int(2.0 * across / terrain.spacing) + 1, 100000)
     step = (stop - start) / float(steps)
     before = start
-    height = float(-1.0)
+    depth_before = float(-1.0)
     above = int(0)
     for k in range(steps + 1):
         t = start + float(k) * step
@@ -194,12 +194,12 @@ def terrain_hit(
         elif depth < 0.0:
             above = int(1)
             before = t
-            height = depth
+            depth_before = depth
         else:
             if above == 0 and k > 0:
                 return nothing
             if above == 1:
-                t = _crossing(origin, direction, terrain, down, before, t, height, depth)
+                t = _crossing(origin, direction, terrain, down, before, t, depth_before, depth)
             hit = origin + t * direction
             return wp.vec4(hit[0], hit[1], hit[2], 1.0)
     return nothing
