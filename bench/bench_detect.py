@@ -17,7 +17,13 @@ from hsvaos.detect.fragments import FragmentNet
 from hsvaos.detect.layouts import own_channels
 from hsvaos.detect.network import Network
 from hsvaos.detect.network_input import CHANNELS, network_input
-from hsvaos.detect.second_look import PACKAGED_SECOND_LOOK, SecondLook, facts_of, patch
+from hsvaos.detect.second_look import (
+    PACKAGED_SECOND_LOOK,
+    SECOND_CHANNELS,
+    SecondLook,
+    facts_of,
+    patch,
+)
 from hsvaos.detect.yolo import PACKAGED
 from hsvaos.fragment_input import FragmentInput
 from hsvaos.kernels.rarity import rarity_model
@@ -87,12 +93,12 @@ def pieces() -> Contenders:
 
 def second_looks() -> Contenders:
     rng = np.random.default_rng(3)
-    planes = rng.normal(size=(len(CHANNELS), size(1024), size(1024))).astype(np.float32)
+    planes = rng.normal(size=(len(SECOND_CHANNELS), size(1024), size(1024))).astype(np.float32)
     corners = rng.uniform(0, size(1024) - 40, (LOOKS, 2))
     boxes = np.concatenate([corners, corners + rng.uniform(15, 40, (LOOKS, 2))], axis=1)
     boxes, scores = boxes.astype(np.float32), np.full(LOOKS, 0.5, np.float32)
     second, alone = SecondLook(provider="cpu"), Network(PACKAGED_SECOND_LOOK, "cpu")
-    views = np.stack([patch(planes, box) for box in boxes])
+    views = np.stack([patch((planes,), box) for box in boxes])
     feeds = {alone.picture.name: views, "facts": facts_of(boxes, scores)}
     network = cv2.dnn.readNetFromONNX(str(PACKAGED_SECOND_LOOK))
 
@@ -102,7 +108,7 @@ def second_looks() -> Contenders:
         network.forward(network.getUnconnectedOutLayersNames())
 
     return {
-        "hsvaos SecondLook": lambda: second(planes, boxes, scores),
+        "hsvaos SecondLook": lambda: second((planes,), boxes, scores),
         "  of it the network": lambda: alone.run(feeds),
         "OpenCV dnn, the network alone": opencv,
     }

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import onnx
 import torch
+from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
 from hsvaos.detect.network_input import AIM_GSD_M, CHANNELS, TRAINED_GSD_M
@@ -64,6 +65,7 @@ def as_onnx(
     facts: dict[str, str],
     others: dict[str, int] | None = None,
     any_size: bool = True,
+    half: bool = False,
 ) -> None:
     """Write a network of one picture as ONNX, dynamic in batch and size; it must equal torch.
 
@@ -75,6 +77,7 @@ def as_onnx(
         facts: Its metadata.
         others: Further inputs (batch, n), n by name.
         any_size: Whether pictures may have another size than the example.
+        half: Whether weights are stored in 16 bits; it computes in 32 all the same.
 
     Raises:
         RuntimeError: If onnxruntime gives other results than torch.
@@ -103,11 +106,25 @@ def as_onnx(
     for key, value in facts.items():
         entry = model.metadata_props.add()
         entry.key, entry.value = key, value
+    if half:
+        _halve(model.graph)
     onnx.checker.check_model(model)
     onnx.save(model, str(part))
     size = (10 * MULTIPLE, 7 * MULTIPLE) if any_size else example[1:]
-    _compare(module, (example[0], *size), lengths, list(outputs), part)
+    _compare(module, (example[0], *size), lengths, list(outputs), part, 1e-2 if half else 1e-3)
     part.replace(path)
+
+
+def _halve(graph: onnx.GraphProto) -> None:
+    """Store matrices and filters in 16 bits; loaded, they are 32 bits again."""
+    for entry in list(graph.initializer):
+        array = numpy_helper.to_array(entry)
+        if array.dtype != np.float32 or array.ndim < 2:
+            continue
+        name, stored = entry.name, f"{entry.name}.half"
+        entry.CopyFrom(numpy_helper.from_array(array.astype(np.float16), stored))
+        cast = helper.make_node("Cast", [stored], [name], to=TensorProto.FLOAT)
+        graph.node.insert(0, cast)
 
 
 def _compare(
@@ -116,6 +133,7 @@ def _compare(
     lengths: dict[str, int],
     outputs: list[str],
     path: Path,
+    tolerance: float,
 ) -> None:
     """Raise unless onnxruntime gives what torch gives, of pictures of a shape (C, H, W)."""
     import onnxruntime
@@ -130,7 +148,7 @@ def _compare(
         found = module(*(torch.from_numpy(x) for x in feeds.values()))
     want = [part.numpy() for part in (found if isinstance(found, tuple) else (found,))]
     for ours, theirs in zip(have, want, strict=True):
-        if not np.allclose(ours, theirs, rtol=1e-3, atol=1e-3):
+        if not np.allclose(ours, theirs, rtol=tolerance, atol=tolerance):
             raise RuntimeError(
                 f"{path}: onnxruntime and torch differ by {np.abs(ours - theirs).max():.3g}"
             )

@@ -106,7 +106,7 @@ def matched(net: PersonNet, paths: list[Path], ious: tuple[float, ...]) -> dict[
     exported = Exported(net).eval()
     parts: dict[float, list[Matches]] = {iou: [] for iou in ious}
     for path in paths:
-        whole, seen_by, people, reach = input_of(path, None)
+        whole, _, seen_by, people, reach = input_of(path, None)
         boxes, scores = finds(exported, whole)
         for iou, own in matched_finds(boxes, scores, seen_by, people, reach, ious).items():
             parts[iou].append(own)

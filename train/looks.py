@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hsvaos.detect.levels import level_planes
 from hsvaos.detect.network import Network
 from hsvaos.detect.network_input import AIM_GSD_M, TRAINED_GSD_M, network_input
 from hsvaos.detect.overlap import overlaps
@@ -47,12 +48,13 @@ class Look:
     """A map as the detector sees it, and its candidates.
 
     Args:
-        layers: Shape (H, W, 25), float16.
+        layers: Shape (H, W, 34), float16, see `hsvaos.detect.second_look.SECOND_CHANNELS`.
         rays: Shape (H, W), float16, rays of each pixel.
         boxes: Shape (N, 4), candidates, corners, pixel centres at integers [px].
         scores: Shape (N,), of the first network.
         people: Shape (K, 4), boxes of everybody [px].
         reach: Shape (K,), unoccluded rays a point.
+        taught: Shape (N,), an earlier second look's scores, see `train.teacher`; None: not asked.
     """
 
     layers: NDArray[np.float16]
@@ -61,6 +63,7 @@ class Look:
     scores: NDArray[np.float32]
     people: NDArray[np.float32]
     reach: NDArray[np.float32]
+    taught: NDArray[np.float32] | None = None
 
     @cached_property
     def shares(self) -> NDArray[np.float32]:
@@ -91,7 +94,8 @@ def input_of(path: Path, wanted_gsd_m: float | None) -> tuple[NDArray[np.float32
         wanted_gsd_m: Ground sampling distance [m/px]; None: as the detector chooses it.
 
     Returns:
-        Input (25, H, W), rays (H, W), boxes of people (K, 4), and unoccluded rays (K,).
+        Input (25, H, W), of the second look what comes to it (9, H, W), rays (H, W), boxes of
+        people (K, 4), and unoccluded rays (K,).
     """
     with np.load(path) as data:
         layers = data["layers"].astype(np.float32)
@@ -101,17 +105,21 @@ def input_of(path: Path, wanted_gsd_m: float | None) -> tuple[NDArray[np.float32
         wanted_gsd_m = AIM_GSD_M
     if wanted_gsd_m is not None:
         layers, people = at_sampling(layers, people, gsd, wanted_gsd_m)
+    image = np.moveaxis(layers[PLANES["rarity"]], 0, 2)
+    fragments = agreed_in(layers, FRAGMENT_COLOUR, FRAGMENT_COHERENCE)
+    ground = agreed_in(layers, GROUND, GROUND_RAYS)
     whole = network_input(
-        np.moveaxis(layers[PLANES["rarity"]], 0, 2),
+        image,
         layers[RAYS],
         layers[RARITY_MAP],
         np.moveaxis(layers[PLANES["plain"]], 0, 2),
         agreed_in(layers, COHERENT, COHERENCE),
         layers[FRAGMENTS] if pieces else None,
-        agreed_in(layers, FRAGMENT_COLOUR, FRAGMENT_COHERENCE) if pieces else None,
-        agreed_in(layers, GROUND, GROUND_RAYS) if pieces else None,
+        fragments if pieces else None,
+        ground if pieces else None,
     )
-    return whole, layers[RAYS], people.astype(np.float32), reach.astype(np.float32)
+    levels = level_planes(image, layers[RAYS], fragments, ground)
+    return whole, levels, layers[RAYS], people.astype(np.float32), reach.astype(np.float32)
 
 
 def candidates(
@@ -146,10 +154,11 @@ def make_look(path: Path, target: Path, first: Network, *, as_found: bool = Fals
         as_found: Whether the map is judged by: at the sampling that the detector chooses, with as
             many candidates. Else at one that is drawn.
     """
-    whole, rays, people, reach = input_of(path, None if as_found else _drawn_gsd(path))
+    whole, levels, rays, people, reach = input_of(path, None if as_found else _drawn_gsd(path))
     how = (FLOOR, SAME, MOST) if as_found else (_LEAST, _SAME, _MOST)
     boxes, scores = candidates(first, whole, *how)
-    np.save(target / f"{path.stem}.layers.npy", np.moveaxis(whole, 0, 2).astype(np.float16))
+    layers = np.moveaxis(np.concatenate([whole, levels]), 0, 2)
+    np.save(target / f"{path.stem}.layers.npy", layers.astype(np.float16))
     part = target / f"{path.stem}.part.npz"
     np.savez(
         part, rays=rays.astype(np.float16), boxes=boxes, scores=scores, people=people, reach=reach
@@ -175,8 +184,19 @@ def read_look(path: Path) -> Look:
         path: Of the .npz.
     """
     layers = np.load(path.with_suffix(".layers.npy"), mmap_mode="r")
+    taught = taught_path(path)
     with np.load(path) as data:
         return Look(
             layers,
             *(data[name] for name in ("rays", "boxes", "scores", "people", "reach")),
+            np.load(taught) if taught.exists() else None,
         )
+
+
+def taught_path(path: Path) -> Path:
+    """Return where an earlier second look's scores of a look's candidates lie, if they do.
+
+    Args:
+        path: Of the look.
+    """
+    return path.with_suffix(".taught.npy")

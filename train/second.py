@@ -9,6 +9,7 @@ curves. Flights, maps and looks that are there are not made again.
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from collections.abc import Callable
 from functools import partial
@@ -22,6 +23,7 @@ from hsvaos.kernels.device import quiet_start
 from train.flights import FIRST_TRAINING_SEED, FIRST_TUNING_SEED, flight_settings
 from train.looks import Look, make_look, read_look
 from train.stages import each, flight_stage, maps_stage, seeds_of
+from train.teacher import teach
 
 _FOR_MOMENTS = 8
 """Batches on which the layers of a network that is brought back are measured."""
@@ -33,6 +35,13 @@ def _looks(maps: Path, looks: Path, first: Path, as_found: bool, seed: int) -> s
     for path in sorted(maps.glob(f"flight_{seed}_[0-9].npz")):
         if not list(looks.glob(f"{path.stem}*.npz")):
             make_look(path, looks, network, as_found=as_found)
+    return f"flight_{seed}"
+
+
+def _taught(looks: Path, teacher: Path, seed: int) -> str:
+    quiet_start()
+    for path in sorted(looks.glob(f"flight_{seed}_[0-9].npz")):
+        teach(path, teacher)
     return f"flight_{seed}"
 
 
@@ -52,6 +61,9 @@ def main() -> int:
     parser.add_argument(
         "--keep", type=float, default=0.0, help="share of its weights that stays as it was"
     )
+    parser.add_argument(
+        "--earlier", type=Path, help="an earlier second look, to learn from and to be asked beside"
+    )
     asked = parser.parse_args()
     if not FIRST_TRAINING_SEED <= asked.first <= FIRST_TUNING_SEED - asked.flights:
         parser.error(f"--first: expected {FIRST_TRAINING_SEED} or more, got {asked.first}")
@@ -64,6 +76,8 @@ def main() -> int:
     ]
     tuning = list(range(FIRST_TUNING_SEED, FIRST_TUNING_SEED + asked.tuning))
     looks = _prepared(asked, "", seeds), _prepared(asked, "tuning_", tuning)
+    if asked.earlier is not None:
+        each("teacher", partial(_taught, looks[0], asked.earlier), seeds, asked.workers)
     return train(asked, *looks)
 
 
@@ -113,7 +127,7 @@ def train(asked: argparse.Namespace, looks: Path, tuning: Path) -> int:
     from train.second_fit import Candidates, fit_second
     from train.second_judge import matched_again, threshold_shift
     from train.second_net import MeanOfNets, SecondNet, export_second
-    from train.warm import blended_second, unfolded_seconds
+    from train.warm import blended_second, stored_seconds, unfolded_seconds
 
     held_out = read_looks(tuning)
     begun: list[SecondNet | None] = [None] * len(asked.seeds)
@@ -135,7 +149,10 @@ def train(asked: argparse.Namespace, looks: Path, tuning: Path) -> int:
     ]
     if asked.keep:
         nets = [blended_second(net, asked.start_from, k, asked.keep) for k, net in enumerate(nets)]
-    net = MeanOfNets(nets)
+    beside = stored_seconds(asked.earlier) if asked.earlier else []
+    # those of one file count as much as those of the other
+    weights = [1.0 / len(nets)] * len(nets) + [1.0 / max(1, len(beside))] * len(beside)
+    net = MeanOfNets([*nets, *beside], weights)
     matches = matched_again(net, held_out)
     shift = threshold_shift(matches, Detector(asked.person.read_bytes()).score)
     story = {
@@ -147,12 +164,18 @@ def train(asked: argparse.Namespace, looks: Path, tuning: Path) -> int:
         "first": asked.person.name,
         "started_from": asked.start_from.name if asked.start_from else "new weights",
         "kept_of_it": asked.keep,
+        "earlier": _story_of(asked.earlier) if asked.earlier else "none",
         "tuning": figures_of(matches),
         "shift": round(shift, 4),
     }
     export_second(net, asked.work / "second_look.onnx", shift, story)
     print(f"{asked.work / 'second_look.onnx'}: {story['tuning']}, shifted by {shift:.3f}")
     return 0
+
+
+def _story_of(path: Path) -> dict[str, object]:
+    told: dict[str, object] = json.loads(Network(path).metadata["training"])
+    return told
 
 
 if __name__ == "__main__":

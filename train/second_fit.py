@@ -15,13 +15,21 @@ from torch import Tensor
 from torch.nn import functional as F
 from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
+from hsvaos.detect.levels import LEVEL_CHANNELS
 from hsvaos.detect.network_input import CHANNELS
-from hsvaos.detect.second_look import LOOK_PX, corner_of, facts_of, patch
+from hsvaos.detect.second_look import LOOK_PX, SECOND_CHANNELS, corner_of, facts_of, patch
 from train.fit import average, note, overlap, schedule, short_floats
 from train.looks import Look, read_look
 from train.second_net import SecondNet
 
 BATCH = 96
+
+_LEVELS = slice(len(CHANNELS), len(SECOND_CHANNELS))
+_RECOLOURED = (0.12, 0.1, 0.12)
+"""Standard deviations of shifts of lightness and of both ratios of colours."""
+
+_TRUST = 0.3
+"""Share of a score's aim that is the teacher's, where there is one; the rest is the truth."""
 
 _PEOPLE = 0.4
 """Share of candidates in a batch that are people."""
@@ -57,12 +65,16 @@ class Candidates(IterableDataset[Any]):
 
 
 def drawn(look: Look, index: int, rng: np.random.Generator) -> tuple[Any, ...]:
-    """Return one candidate, varied: patch, facts, box, person's box (or zeros), and whether it is.
+    """Return one candidate, varied.
 
     Args:
         look: Of which map.
         index: Which candidate.
         rng: Draws the variations.
+
+    Returns:
+        Patch, facts, box, person's box (or zeros), whether it is one, and the teacher's score (or
+        -1).
     """
     box = look.boxes[index].astype(np.float32)
     sides = box[2:] - box[:2]
@@ -75,7 +87,7 @@ def drawn(look: Look, index: int, rng: np.random.Generator) -> tuple[Any, ...]:
     if rng.uniform() < 0.5:
         side = int(rng.integers(72, 90))
         zoom = LOOK_PX / side
-    view = np.moveaxis(patch(np.moveaxis(look.layers, 2, 0), box, side), 0, 2)
+    view = np.moveaxis(patch((np.moveaxis(look.layers, 2, 0),), box, side), 0, 2)
     origin = np.tile(corner_of(box, side), 2)
     box, person = box - origin, person - origin
     if side != LOOK_PX:
@@ -93,10 +105,25 @@ def drawn(look: Look, index: int, rng: np.random.Generator) -> tuple[Any, ...]:
     view = np.ascontiguousarray(view)
     if rng.uniform() < 0.5:
         factors = np.exp(rng.normal(0.0, 0.12, view.shape[2])).astype(np.float32)
+        factors[_LEVELS] = 1.0
         factors[[CHANNELS.index("rays"), CHANNELS.index("ground rays"), -1]] = 1.0
         view *= factors
+    _recolour(view[..., _LEVELS], rng)
     score = look.scores[index : index + 1]
-    return view, facts_of(box[None], score)[0], box, person, who >= 0
+    taught = -1.0 if look.taught is None else look.taught[index]
+    return view, facts_of(box[None], score)[0], box, person, who >= 0, taught
+
+
+def _recolour(levels: NDArray[np.float32], rng: np.random.Generator) -> None:
+    """Change exposure, white balance and saturation, as other cameras would; in place."""
+    shown = levels != 0.0
+    light, *balance = rng.normal(0.0, _RECOLOURED)
+    shift = np.array([light, *balance], dtype=np.float32)
+    saturation = np.float32(np.exp(rng.normal(0.0, 0.15)))
+    factors = np.array([1.0, saturation, saturation], dtype=np.float32)
+    pictures = len(LEVEL_CHANNELS) // len(shift)
+    levels *= np.tile(factors, pictures)
+    levels += np.tile(shift, pictures) * shown
 
 
 def _mirrored(box: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
@@ -106,10 +133,14 @@ def _mirrored(box: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
 
 
 def collate(parts: Sequence[tuple[Any, ...]]) -> tuple[Tensor, ...]:
-    """Return patches (B, C, side, side), facts, boxes, people's boxes and whether there is one.
+    """Return what several candidates are, as tensors.
 
     Args:
         parts: From `drawn`.
+
+    Returns:
+        Patches (B, C, side, side), facts, boxes, people's boxes, whether there is one, and the
+        teacher's scores.
     """
     views, *others = (np.stack(column) for column in zip(*parts, strict=True))
     return torch.from_numpy(views).permute(0, 3, 1, 2), *(
@@ -124,7 +155,7 @@ def loss_of(net: SecondNet, batch: tuple[Tensor, ...]) -> dict[str, Tensor]:
         net: The network.
         batch: From `collate`.
     """
-    views, facts, boxes, people, is_person = batch
+    views, facts, boxes, people, is_person, taught = batch
     with torch.autocast("cpu", dtype=torch.bfloat16, enabled=short_floats()):
         logits, shifts = net(views, facts)
     logits, shifts = logits.float(), shifts.float()
@@ -132,6 +163,7 @@ def loss_of(net: SecondNet, batch: tuple[Tensor, ...]) -> dict[str, Tensor]:
     iou, giou = overlap(shifted(boxes[own], shifts[own]), people[own])
     target = torch.zeros_like(logits)
     target[own] = 0.5 + 0.5 * iou.detach().clamp(0.0, 1.0)
+    target = torch.where(taught >= 0.0, torch.lerp(target, taught, _TRUST), target)
     score = F.binary_cross_entropy_with_logits(logits, target)
     return {"score": score, "box": (1.0 - giou).mean()}
 

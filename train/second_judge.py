@@ -39,7 +39,7 @@ def looked_again(net: nn.Module, look: Look) -> tuple[NDArray[np.float32], NDArr
     logits, shifts = [np.zeros(0, np.float32)], [np.zeros((0, 4), np.float32)]
     for first in range(0, len(look.boxes), _BATCH):
         some = slice(first, first + _BATCH)
-        views = np.stack([patch(planes, box) for box in look.boxes[some]])
+        views = np.stack([patch((planes,), box) for box in look.boxes[some]])
         facts = facts_of(look.boxes[some], look.scores[some])
         with torch.no_grad():
             found = net(torch.from_numpy(views), torch.from_numpy(facts))

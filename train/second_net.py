@@ -10,8 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from hsvaos.detect.network_input import CHANNELS
-from hsvaos.detect.second_look import LOOK_PX
+from hsvaos.detect.second_look import LOOK_PX, SECOND_CHANNELS
 from train.export import as_onnx
 from train.net import Residual, conv
 
@@ -28,26 +27,31 @@ class SecondNet(nn.Module):
 
     Args:
         widths: Channels at stride 2, 4, 8 and 16, and of the last layer but one.
+        depths: Residual parts at each of these strides.
         dropout: Share of that layer that is left out while training.
+        channels: How many of `SECOND_CHANNELS` it sees, from the first.
     """
 
     def __init__(
-        self, widths: tuple[int, int, int, int, int] = (32, 48, 72, 96, 96), dropout: float = 0.2
+        self,
+        widths: tuple[int, int, int, int, int] = (48, 64, 96, 128, 128),
+        depths: tuple[int, int, int, int] = (0, 1, 2, 2),
+        dropout: float = 0.2,
+        channels: int = len(SECOND_CHANNELS),
     ) -> None:
         super().__init__()
-        first, second, third, fourth, last = widths
-        self.body = nn.Sequential(
-            conv(len(CHANNELS) + 1, first, 5, 2),
-            conv(first, second, 3, 2),
-            Residual(second),
-            conv(second, third, 3, 2),
-            Residual(third),
-            conv(third, fourth, 3, 2),
-            Residual(fourth),
-        )
-        self.where = conv(fourth, _PLACES, 1)
+        self.channels = channels
+        *stages, last = widths
+        parts: list[nn.Module] = []
+        before = channels + 1
+        for number, (width, depth) in enumerate(zip(stages, depths, strict=True)):
+            parts.append(conv(before, width, 3 if number else 5, 2))
+            parts += [Residual(width) for _ in range(depth)]
+            before = width
+        self.body = nn.Sequential(*parts)
+        self.where = conv(before, _PLACES, 1)
         side = LOOK_PX // _STRIDE
-        self.mixed = nn.Linear(2 * fourth + _PLACES * side * side + FACTS, last)
+        self.mixed = nn.Linear(2 * before + _PLACES * side * side + FACTS, last)
         self.dropout = nn.Dropout(dropout)
         self.score = nn.Linear(last, 1)
         self.box = nn.Linear(last, 4)
@@ -57,6 +61,8 @@ class SecondNet(nn.Module):
 
     def forward(self, patches: Tensor, facts: Tensor) -> tuple[Tensor, Tensor]:
         """Return logits (B,) and shifts (B, 4)."""
+        if self.channels + 1 < patches.shape[1]:
+            patches = torch.cat([patches[:, : self.channels], patches[:, -1:]], dim=1)
         found = self.body(patches)
         whole = found.mean(dim=(2, 3))
         strongest = found.amax(dim=(2, 3))
@@ -66,21 +72,56 @@ class SecondNet(nn.Module):
         return facts[:, 0] + self.score(mixed)[:, 0], self.box(mixed)
 
 
+def net_like(shapes: Sequence[tuple[int, ...]]) -> SecondNet:
+    """Return a new network whose layers have given shapes.
+
+    Args:
+        shapes: Of the weights of its layers, in order.
+
+    Raises:
+        ValueError: If no such network has them.
+    """
+    *filters, _ = [shape for shape in shapes if len(shape) == 4] or [()]
+    matrices = [shape for shape in shapes if len(shape) == 2]
+    widths: list[int] = []
+    layers: list[int] = []
+    for out, into, *_ in filters:
+        if widths and out == into == widths[-1]:
+            layers[-1] += 1
+        else:
+            widths.append(out)
+            layers.append(0)
+    if len(widths) != 4 or not matrices:
+        raise ValueError(f"expected the layers of SecondNet, got filters of {filters}")
+    a, b, c, d = widths
+    depths = [count // 2 for count in layers]
+    channels = filters[0][1] - 1
+    return SecondNet((a, b, c, d, matrices[0][0]), (*depths,), channels=channels)  # type: ignore[arg-type]
+
+
 class MeanOfNets(nn.Module):
-    """Networks of several seeds, asked together: each is wrong in its own way.
+    """Several networks, asked together: each is wrong in its own way.
 
     Args:
         nets: The networks.
+        weights: Of each; by default all count the same.
     """
 
-    def __init__(self, nets: Sequence[SecondNet]) -> None:
+    def __init__(self, nets: Sequence[SecondNet], weights: Sequence[float] | None = None) -> None:
         super().__init__()
         self.nets = nn.ModuleList(nets)
+        given = torch.tensor([1.0] * len(nets) if weights is None else weights)
+        self.weights = [float(weight) for weight in given / given.sum()]
 
     def forward(self, patches: Tensor, facts: Tensor) -> tuple[Tensor, Tensor]:
         """Return mean logits (B,) and mean shifts (B, 4)."""
         logits, shifts = zip(*(net(patches, facts) for net in self.nets), strict=True)
-        return torch.stack(logits).mean(dim=0), torch.stack(shifts).mean(dim=0)
+        return _mean(logits, self.weights), _mean(shifts, self.weights)
+
+
+def _mean(parts: Sequence[Tensor], weights: Sequence[float]) -> Tensor:
+    weighed = [part * weight for part, weight in zip(parts, weights, strict=True)]
+    return torch.stack(weighed).sum(dim=0)
 
 
 class ExportedSecond(nn.Module):
@@ -112,12 +153,12 @@ def export_second(net: nn.Module, path: Path, shift: float, story: dict[str, obj
         story: How it was trained; kept in the metadata.
     """
     facts = {
-        "channels": ",".join(CHANNELS),
+        "channels": ",".join(SECOND_CHANNELS),
         "license": "Apache-2.0",
         "training": json.dumps(story),
     }
     batch = {0: "batch"}
-    example = (len(CHANNELS) + 1, LOOK_PX, LOOK_PX)
+    example = (len(SECOND_CHANNELS) + 1, LOOK_PX, LOOK_PX)
     outputs = {"scores": batch, "shifts": batch}
     shifted = ExportedSecond(net.eval(), shift).eval()
-    as_onnx(shifted, example, path, outputs, facts, {"facts": FACTS}, False)
+    as_onnx(shifted, example, path, outputs, facts, {"facts": FACTS}, any_size=False, half=True)

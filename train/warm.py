@@ -8,15 +8,17 @@ so that the network gives the same in training and in use as the file it came fr
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import onnx
 import torch
 from onnx import numpy_helper
 from torch import Tensor, nn
 
 from train.net import PersonNet
-from train.second_net import SecondNet
+from train.second_net import SecondNet, net_like
 
 Layer = nn.Conv2d | nn.Linear
 Stored = list[tuple[Tensor, Tensor]]
@@ -51,13 +53,46 @@ def unfolded_seconds(path: Path, batches: Sequence[tuple[Tensor, Tensor]]) -> li
     Raises:
         ValueError: If the file holds other networks.
     """
-    stored, found = _stored(path), []
-    count = len(_layers(SecondNet()))
-    for start in range(0, max(len(stored), 1), count):
-        net = SecondNet().eval()
-        _unfold(net, _checked(path, net, stored[start : start + count]), batches)
+    found = []
+    for stored in _stored_seconds(path):
+        net = _like(path, stored)
+        _unfold(net, stored, batches)
         found.append(net)
     return found
+
+
+def stored_seconds(path: Path) -> list[SecondNet]:
+    """Return the networks of an exported second look as they are: to be used, not to be trained.
+
+    Args:
+        path: Written by `train.second_net.export_second`.
+
+    Raises:
+        ValueError: If the file holds other networks.
+    """
+    found = []
+    for stored in _stored_seconds(path):
+        net = _like(path, stored)
+        _fill(net, stored)
+        found.append(net)
+    return found
+
+
+def _stored_seconds(path: Path) -> list[Stored]:
+    """Return the layers of each network of a file; a filter of 5 x 5 begins one."""
+    stored = _stored(path)
+    starts = [k for k, (weight, _) in enumerate(stored) if weight.shape[2:] == (5, 5)]
+    return [stored[a:b] for a, b in pairwise([*(starts or [0]), len(stored)])]
+
+
+def _like(path: Path, stored: Stored) -> SecondNet:
+    """Return a new network, in use, that a file's layers fit."""
+    try:
+        net = net_like([tuple(weight.shape) for weight, _ in stored])
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    _checked(path, net, stored)
+    return net.eval()
 
 
 def _unfold(net: nn.Module, stored: Stored, batches: Iterable[tuple[Tensor, ...]]) -> None:
@@ -117,19 +152,26 @@ def blended_second(net: SecondNet, path: Path, index: int, share: float) -> Seco
     Raises:
         ValueError: If the file holds other networks.
     """
-    mixed = SecondNet().eval()
-    count = len(_layers(mixed))
-    stored = _stored(path)[index * count : (index + 1) * count]
-    _blend(mixed, net, _checked(path, mixed, stored), share)
+    stored = _stored_seconds(path)[index]
+    mixed = _like(path, stored)
+    _blend(mixed, net, stored, share)
     return mixed
 
 
 def _blend(mixed: nn.Module, net: nn.Module, stored: Stored, share: float) -> None:
+    parts = zip(_folded(net), stored, strict=True)
     with torch.no_grad():
-        for (layer, norm), own, old in zip(_layers(mixed), _folded(net), stored, strict=True):
-            weight, bias = (
-                torch.lerp(new, before, share) for new, before in zip(own, old, strict=True)
-            )
+        between = [
+            (torch.lerp(new[0], old[0], share), torch.lerp(new[1], old[1], share))
+            for new, old in parts
+        ]
+    _fill(mixed, between)
+
+
+def _fill(net: nn.Module, stored: Stored) -> None:
+    """Give a network layers into which their normalisations are folded."""
+    with torch.no_grad():
+        for (layer, norm), (weight, bias) in zip(_layers(net), stored, strict=True):
             layer.weight.copy_(weight)
             if norm is None:
                 layer.bias.copy_(bias)
@@ -195,9 +237,9 @@ def _layers(net: nn.Module) -> list[tuple[Layer, nn.BatchNorm2d | None]]:
 def _stored(path: Path) -> Stored:
     graph = onnx.load(str(path)).graph
     arrays = {entry.name: numpy_helper.to_array(entry) for entry in graph.initializer}
-    for node in graph.node:  # equal arrays are stored once
-        if node.op_type == "Identity" and node.input[0] in arrays:
-            arrays[node.output[0]] = arrays[node.input[0]]
+    for node in graph.node:  # equal arrays are stored once, and some in 16 bits
+        if node.op_type in ("Identity", "Cast") and node.input[0] in arrays:
+            arrays[node.output[0]] = arrays[node.input[0]].astype(np.float32)
     return [
         (torch.tensor(arrays[node.input[1]]), torch.tensor(arrays[node.input[2]]))
         for node in graph.node

@@ -14,6 +14,7 @@ from hsvaos.camera import finite_number
 from hsvaos.detect.fitting import Placement, as_bytes, fitted, padded
 from hsvaos.detect.grey_input import GREY_CHANNELS, grey_input
 from hsvaos.detect.layouts import Layout, input_size, own_channels
+from hsvaos.detect.levels import level_planes
 from hsvaos.detect.network import PERSON_SCORE, Network
 from hsvaos.detect.network_input import (
     AIM_GSD_M,
@@ -53,6 +54,8 @@ class Tile:
         placement: Of the window in the input.
         window: In the view as resampled.
         scale: Pixels of the view as resampled a pixel of the view as given, in x and y.
+        levels: Shape (9, h, w), float32, what a second look sees beside the input, see
+            `level_planes`; None where something is not known.
     """
 
     view: int
@@ -60,6 +63,7 @@ class Tile:
     placement: Placement
     window: Window
     scale: tuple[float, float] = (1.0, 1.0)
+    levels: Array | None = None
 
     def back(self, boxes: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Return boxes of the input in pixels of the view as given, and which this tile may keep.
@@ -194,26 +198,30 @@ class OwnFeed:
         for window in windows(view.size, self._side, self._overlap):
             part = view.cut(window)
             if part.any_seen:
-                yield Tile(number, self._planes(part), Placement(), window, factors)
+                planes, levels = self._planes(part)
+                yield Tile(number, planes, Placement(), window, factors, levels)
 
-    def _planes(self, view: ViewInput) -> Array:
+    def _planes(self, view: ViewInput) -> tuple[Array, Array | None]:
+        levels = None
         if self._grey:
             flat = view.as_grey()
             planes = grey_input(flat.image, flat.footprint)
         else:
+            pieces = _pair(view.fragment_colour, view.fragment_coherence)
+            ground = _pair(view.ground, view.ground_rays)
             planes = network_input(
                 *(view.image, view.footprint, view.rarity, view.plain),
-                *(_pair(view.coherent, view.coherence), view.fragments),
-                _pair(view.fragment_colour, view.fragment_coherence),
-                _pair(view.ground, view.ground_rays),
+                *(_pair(view.coherent, view.coherence), view.fragments, pieces, ground),
             )
+            if view.all_known and pieces is not None and ground is not None:
+                levels = level_planes(view.image, view.footprint, pieces, ground)
         if self._channels != list(range(len(planes))):
             planes = planes[self._channels]
         height, width = (
             fixed or -(-side // self._stride) * self._stride
             for fixed, side in zip(self._fixed, view.size, strict=True)
         )
-        return padded(planes, (height, width))
+        return padded(planes, (height, width)), levels
 
 
 def _pair(image: Array | None, coherence: Array | None) -> tuple[Array, Array] | None:

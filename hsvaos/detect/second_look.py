@@ -14,19 +14,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hsvaos.detect.levels import LEVEL_CHANNELS
 from hsvaos.detect.network import PERSON_SCORE, Network
 from hsvaos.detect.network_input import CHANNELS
 from hsvaos.detect.suppress import suppress, usable
 
 Array = NDArray[Any]
+Stacks = tuple[Array, ...]
+"""Planes one after another, (C, H, W) each: those of the first network, and what comes to them."""
 
 PACKAGED_SECOND_LOOK = Path(__file__).with_name("second_look.onnx")
 """Our own weights."""
 
+SECOND_CHANNELS = (*CHANNELS, *LEVEL_CHANNELS)
+"""What it sees: all that the first network may see, and the colours themselves."""
+
 LOOK_PX = 80
 """Side of what is looked at [px]: 4 m at 5 cm a pixel."""
 
-FLOOR = 0.05
+FLOOR = 0.12
 """Score of the first network from which a box gets a second look."""
 
 SAME = 0.35
@@ -64,18 +70,18 @@ class SecondLook:
         path = PACKAGED_SECOND_LOOK if model is None else model
         self._network = Network(path, provider, threads)
         named = self._network.metadata.get("channels", "")
-        if named != ",".join(CHANNELS):
+        if named != ",".join(SECOND_CHANNELS):
             raise ValueError(
-                f"{self._network.name}: expected a network for a second look, with the channels of "
-                f"network_input in its metadata, got {named or 'none'}"
+                f"{self._network.name}: expected a network for a second look, with the channels "
+                f"SECOND_CHANNELS in its metadata, got {named or 'none'}"
             )
         self.person_score = self._network.threshold(PERSON_SCORE)
 
-    def at(self, planes: Array, boxes: Array, scores: Array) -> tuple[Array, Array]:
+    def at(self, planes: Stacks, boxes: Array, scores: Array) -> tuple[Array, Array]:
         """Return what remains of the first network's boxes, put right, with new scores.
 
         Args:
-            planes: Shape (25, H, W), float32, from `network_input`.
+            planes: Shapes (C, H, W), float32, together the 34 of `SECOND_CHANNELS`.
             boxes: Shape (N, 4), corners with pixel k covering k to k + 1 [px].
             scores: Shape (N,), of the first network, 0..1.
 
@@ -87,11 +93,11 @@ class SecondLook:
         placed, sure = self(planes, weak.boxes_xyxy, weak.scores)
         return placed + np.float32(0.5), sure
 
-    def __call__(self, planes: Array, boxes: Array, scores: Array) -> tuple[Array, Array]:
+    def __call__(self, planes: Stacks, boxes: Array, scores: Array) -> tuple[Array, Array]:
         """Return boxes put right, and new scores.
 
         Args:
-            planes: Shape (25, H, W), float32, from `network_input`.
+            planes: Shapes (C, H, W), float32, together the 34 of `SECOND_CHANNELS`.
             boxes: Shape (N, 4), corners, pixel centres at integers [px].
             scores: Shape (N,), of the first network, 0..1.
 
@@ -114,26 +120,31 @@ class SecondLook:
         return np.concatenate(placed), np.concatenate(sure)
 
 
-def patch(planes: Array, box: Array, side: int = LOOK_PX) -> NDArray[np.float32]:
+def patch(planes: Stacks, box: Array, side: int = LOOK_PX) -> NDArray[np.float32]:
     """Return what lies around a box, and which pixels of it are in the box.
 
     Args:
-        planes: Shape (C, H, W).
+        planes: Shapes (C, H, W), one after another; with zeros below and to the right or without.
         box: Corners, pixel centres at integers [px].
         side: Of the patch [px].
 
     Returns:
         Shape (C + 1, side, side); beyond the view everything is 0.
     """
-    channels, height, width = planes.shape
+    channels = sum(len(stack) for stack in planes)
     left, top = corner_of(box, side)
     out = np.zeros((channels + 1, side, side), dtype=np.float32)
-    rows = slice(max(0, top), min(height, top + side))
-    columns = slice(max(0, left), min(width, left + side))
-    if rows.start < rows.stop and columns.start < columns.stop:
-        part = planes[:, rows, columns]
-        y, x = rows.start - top, columns.start - left
-        out[:channels, y : y + part.shape[1], x : x + part.shape[2]] = part
+    first = 0
+    for stack in planes:
+        height, width = stack.shape[1:]
+        rows = slice(max(0, top), min(height, top + side))
+        columns = slice(max(0, left), min(width, left + side))
+        if rows.start < rows.stop and columns.start < columns.stop:
+            part = stack[:, rows, columns]
+            y, x = rows.start - top, columns.start - left
+            own = slice(first, first + len(stack))
+            out[own, y : y + part.shape[1], x : x + part.shape[2]] = part
+        first += len(stack)
     at = np.arange(side, dtype=np.float32)
     inside_x = (at >= box[0] - left) & (at <= box[2] - left)
     inside_y = (at >= box[1] - top) & (at <= box[3] - top)

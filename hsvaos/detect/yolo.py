@@ -319,8 +319,9 @@ class Detector:
         )
         for batch in self._batches(tiles):
             for tile, found, strength in zip(batch, *self._run(batch), strict=True):
-                if views[tile.view].all_known and self._second_look is not None:
-                    found, strength = self._second_look.at(tile.planes, found, strength)
+                if tile.levels is not None and self._second_look is not None:
+                    seen = tile.planes, tile.levels
+                    found, strength = self._second_look.at(seen, found, strength)
                 good = usable(found, strength, least)
                 places, kept = tile.back(found[good])
                 boxes[tile.view].append(places[kept])

@@ -7,7 +7,7 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 
 from hsvaos.detect.network_input import CHANNELS
-from hsvaos.detect.second_look import LOOK_PX
+from hsvaos.detect.second_look import LOOK_PX, SECOND_CHANNELS
 
 SIDE = 96
 """Side of the input of networks of a fixed size [px]."""
@@ -239,8 +239,8 @@ def second_net(
     A bias is added to the logit.
     """
     net = Net()
-    weights = np.zeros((len(CHANNELS) + 1, 1))
-    weights[CHANNELS.index(channel)] = gain
+    weights = np.zeros((len(SECOND_CHANNELS) + 1, 1))
+    weights[SECOND_CHANNELS.index(channel)] = gain
     means = net.node("ReduceMean", "input", axes=[2, 3], keepdims=0)
     told = net.node("Slice", "facts", *(net.const([n], np.int64) for n in (0, 1, 1)))
     logit = net.node("Add", told, net.node("MatMul", means, net.const(weights)))
@@ -249,8 +249,8 @@ def second_net(
     nothing = net.node("Mul", told, net.const(0.0))
     net.named(net.node("Add", nothing, net.const([shifts])), "shifts")
     inputs = {
-        "input": (["b", len(CHANNELS) + 1, LOOK_PX, LOOK_PX], TensorProto.FLOAT),
+        "input": (["b", len(SECOND_CHANNELS) + 1, LOOK_PX, LOOK_PX], TensorProto.FLOAT),
         "facts": (["b", 3], TensorProto.FLOAT),
     }
     outputs = {"scores": 1, "shifts": 2}
-    return net.model(inputs, outputs, {"channels": ",".join(CHANNELS), **metadata})
+    return net.model(inputs, outputs, {"channels": ",".join(SECOND_CHANNELS), **metadata})

@@ -15,6 +15,7 @@ from hsvaos.detect.network_input import CHANNELS
 from hsvaos.detect.second_look import (
     FLOOR,
     MOST,
+    SECOND_CHANNELS,
     SecondLook,
     corner_of,
     facts_of,
@@ -35,7 +36,8 @@ def test_a_patch_is_a_window_of_the_view_with_zeros_around_it(
 ) -> None:
     planes = np.random.default_rng(0).normal(size=(3, 70, 90)).astype(np.float32)
     box = np.array([left, top, left + width, top + height], np.float32)
-    found = patch(planes, box, side)
+    padded = np.pad(planes[:2], ((0, 0), (0, 6), (0, 22)))  # as the first network takes them
+    found = patch((padded, planes[2:]), box, side)
     around = 300
     wide = np.pad(planes, ((0, 0), (around, around), (around, around)))
     x, y = corner_of(box, side)
@@ -77,16 +79,16 @@ def test_boxes_move_by_their_sides_and_grow_by_factors(
 def test_scores_follow_what_lies_in_the_box_and_weak_boxes_are_left_out(tmp_path: Path) -> None:
     model = tmp_path / "second.onnx"
     model.write_bytes(second_net("fragments", 40.0, (0.25, 0.0, 0.0, np.log(2.0))))
-    planes = np.zeros((len(CHANNELS), 120, 150), np.float32)
-    planes[CHANNELS.index("fragments"), 20:60, 20:60] = 1.0
+    planes = np.zeros((len(SECOND_CHANNELS), 120, 150), np.float32)
+    planes[SECOND_CHANNELS.index("fragments"), 20:60, 20:60] = 1.0
     boxes = np.array([[30.0, 30.0, 50.0, 50.0], [100, 90, 120, 110], [5, 90, 25, 110]], np.float32)
     scores = np.array([0.5, 0.5, 0.5 * FLOOR], np.float32)
-    placed, sure = SecondLook(model).at(planes, boxes, scores)
+    placed, sure = SecondLook(model).at((planes,), boxes, scores)
     assert len(placed) == len(sure) == 2
     assert sure[0] > 0.99
     assert sure[1] == pytest.approx(0.5, abs=1e-4)
     np.testing.assert_allclose(placed[0], [35.0, 20.0, 55.0, 60.0], atol=1e-3)
-    nobody = SecondLook(model).at(planes, boxes[:0], scores[:0])
+    nobody = SecondLook(model).at((planes,), boxes[:0], scores[:0])
     assert nobody[0].shape == (0, 4)
     assert nobody[1].shape == (0,)
 
@@ -98,8 +100,8 @@ def test_many_boxes_are_looked_at_in_turn_and_the_strongest_first(tmp_path: Path
     corners = np.stack(np.meshgrid(np.arange(20) * 14.0, np.arange(20) * 14.0), -1).reshape(-1, 2)
     boxes = np.concatenate([corners, corners + 10.0], axis=1).astype(np.float32)
     scores = rng.uniform(0.1, 0.9, len(boxes)).astype(np.float32)
-    planes = rng.normal(size=(len(CHANNELS), 64, 64)).astype(np.float32)
-    placed, sure = SecondLook(model).at(planes, boxes, scores)
+    planes = rng.normal(size=(len(SECOND_CHANNELS), 64, 64)).astype(np.float32)
+    placed, sure = SecondLook(model).at((planes,), boxes, scores)
     order = np.argsort(-scores)[:MOST]
     np.testing.assert_allclose(sure, scores[order], atol=1e-4)
     np.testing.assert_allclose(placed, boxes[order], atol=1e-3)
@@ -137,7 +139,7 @@ def test_it_says_how_sure_a_person_need_be_where_it_looks(
 
 def test_a_network_of_another_kind_is_refused(tmp_path: Path) -> None:
     (tmp_path / "own.onnx").write_bytes(own_net([1.0]))
-    with pytest.raises(ValueError, match="second look, with the channels of network_input"):
+    with pytest.raises(ValueError, match="second look, with the channels SECOND_CHANNELS"):
         SecondLook(tmp_path / "own.onnx")
     with pytest.raises(ValueError, match="no such ONNX file"):
         SecondLook(tmp_path / "missing.onnx")

@@ -13,8 +13,7 @@ from hsvaos import Camera, Detector, VirtualCamera
 from hsvaos.detect.detections import Detections
 from hsvaos.detect.locate import ViewFinds
 from hsvaos.detect.network import Network
-from hsvaos.detect.network_input import CHANNELS
-from hsvaos.detect.second_look import LOOK_PX, SecondLook
+from hsvaos.detect.second_look import LOOK_PX, SECOND_CHANNELS, SecondLook
 from hsvaos.evaluate.results import JudgedView
 from hsvaos.evaluate.truth import TruthBox, TruthPerson
 from tests.detect.nets import OWN, own_net
@@ -106,7 +105,7 @@ def test_a_second_look_is_brought_to_both_scores(tmp_path):
     path = tmp_path / "second.onnx"
     net = MeanOfNets([SecondNet(), SecondNet()])
     export_second(net, path, 0.3, {"seeds": [1, 2]})
-    patches = np.random.default_rng(1).normal(size=(3, len(CHANNELS) + 1, LOOK_PX, LOOK_PX))
+    patches = np.random.default_rng(1).normal(size=(3, len(SECOND_CHANNELS) + 1, LOOK_PX, LOOK_PX))
     facts = np.random.default_rng(2).normal(size=(3, 3))
     feeds = {"input": patches, "facts": facts}
     before = Network(path).run(feeds)
