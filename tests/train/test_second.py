@@ -122,7 +122,8 @@ def test_the_second_look_learns_and_is_exported_as_it_was_trained(tmp_path):
         make_look(made, looks, first)
     paths = sorted(looks.glob("*.npz"))
     whole = [read_look(path) for path in paths]
-    assert all((one.scores >= FLOOR).all() and (one.whose >= 0).any() for one in whole)
+    assert all((one.whose >= 0).any() for one in whole)
+    assert all((one.scores < FLOOR).any() for one in whole)  # weaker ones than in use
     net = fit_second(paths, tmp_path / "out", steps=25, workers=0, rate=3e-3)
     rng = np.random.default_rng(5)
     chosen = [(one, int(k)) for one in whole for k in np.flatnonzero(one.whose != -2)]
