@@ -426,7 +426,7 @@ def write_page(folder: Path) -> None:
         "in the paper. It sees 2 m more on "
         "every side than the view, as the other photos show them, and finds are cut off at the "
         "view's border; AOS and HSV-AOS see the view alone, as in the paper. What it takes for "
-        "people is looked at once more by a second network.\n",
+        "people is looked at once more by the three networks of the second look.\n",
         f"Software: Python {platform.python_version()}, {libraries}; CPU.\n",
         REACHED,
         STORY,
