@@ -99,7 +99,7 @@ ABLATION = (
     "peaks of rarity", "peaks of RX",
 )  # fmt: skip
 BEFORE_RELIEF = (
-    "The table is of before the second look had its third network. "
+    "The table above and the curves below are of before the second look had its third network. "
     "Eight flights (seeds 710 and 711) were measured with the same weights when all was "
     "integrated on the focal plane; mean of the four forests: .87 with everything, .84 "
     "without the second look, .80 without what lies around a view; with one look only (.84): "
