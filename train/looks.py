@@ -6,6 +6,7 @@ network found there, right and wrong. Stored channels last, so that a patch is r
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -17,7 +18,7 @@ from hsvaos.detect.levels import level_planes
 from hsvaos.detect.network import Network
 from hsvaos.detect.network_input import AIM_GSD_M, TRAINED_GSD_M, network_input
 from hsvaos.detect.overlap import overlaps
-from hsvaos.detect.second_look import FLOOR, MOST, SAME
+from hsvaos.detect.second_look import FLOOR, MOST, SAME, facts_of, patch
 from hsvaos.detect.suppress import suppress, usable
 from train.maps import (
     COHERENCE,
@@ -38,6 +39,8 @@ from train.samples import LEAST_RAYS, at_sampling
 _LEAST, _SAME, _MOST = 0.03, 0.5, 250
 """Score and overlap of candidates, and how many, that are learnt from: more than get a look in
 use."""
+
+_BATCH = 64
 
 _RIGHT, _WRONG = 0.2, 0.05
 """Overlap with a person from which a candidate is one; below the second it is none."""
@@ -175,6 +178,24 @@ def _drawn_gsd(path: Path) -> float:
     if rng.uniform() < 0.25:
         wanted = float(np.exp(rng.uniform(np.log(max(low, 0.9 * gsd)), np.log(high))))
     return wanted
+
+
+def patches_of(
+    look: Look, channels: Sequence[int] | None = None
+) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+    """Yield patches (B, C + 1, side, side) and facts (B, 3) of a look's candidates, in order.
+
+    Args:
+        look: The look.
+        channels: Which of its layers; all by default.
+    """
+    layers = look.layers if channels is None else look.layers[..., channels]
+    planes = np.ascontiguousarray(np.moveaxis(layers, 2, 0))
+    for first in range(0, len(look.boxes), _BATCH):
+        some = slice(first, first + _BATCH)
+        boxes = look.boxes[some]
+        views = np.stack([patch((planes,), box) for box in boxes])
+        yield views, facts_of(boxes, look.scores[some])
 
 
 def read_look(path: Path) -> Look:

@@ -10,11 +10,11 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from hsvaos.detect.second_look import facts_of, moved, patch
+from hsvaos.detect.second_look import moved
 from hsvaos.detect.suppress import clipped, suppress
 from hsvaos.evaluate.detection import Matches
 from train.judge import IOUS, NMS_IOU, matched_finds
-from train.looks import Look
+from train.looks import Look, patches_of
 
 PRECISION = 0.95
 """At the threshold, in a search."""
@@ -25,8 +25,6 @@ SEARCHED_SHARE = 0.6
 DOUBT = 0.05
 """Of the number of false finds, one-sided."""
 
-_BATCH = 64
-
 
 def looked_again(net: nn.Module, look: Look) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return boxes and scores of a map's candidates after the second look, doubles dropped.
@@ -35,12 +33,8 @@ def looked_again(net: nn.Module, look: Look) -> tuple[NDArray[np.float32], NDArr
         net: The network.
         look: The map.
     """
-    planes = np.ascontiguousarray(np.moveaxis(look.layers, 2, 0))
     logits, shifts = [np.zeros(0, np.float32)], [np.zeros((0, 4), np.float32)]
-    for first in range(0, len(look.boxes), _BATCH):
-        some = slice(first, first + _BATCH)
-        views = np.stack([patch((planes,), box) for box in look.boxes[some]])
-        facts = facts_of(look.boxes[some], look.scores[some])
+    for views, facts in patches_of(look):
         with torch.no_grad():
             found = net(torch.from_numpy(views), torch.from_numpy(facts))
         logits.append(found[0].numpy())

@@ -14,10 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hsvaos.detect.network import Network
-from hsvaos.detect.second_look import SECOND_CHANNELS, facts_of, patch
-from train.looks import Look, read_look, taught_path
-
-_BATCH = 64
+from hsvaos.detect.second_look import SECOND_CHANNELS
+from train.looks import Look, patches_of, read_look, taught_path
 
 
 def teach(path: Path, teacher: Path) -> str:
@@ -50,13 +48,9 @@ def opinions(teacher: Network, look: Look) -> NDArray[np.float32]:
     if unknown:
         raise ValueError(f"{teacher.name}: expected channels of a second look, got {unknown[0]!r}")
     shift = float(json.loads(teacher.metadata.get("training", "{}")).get("shift", 0.0))
-    layers = look.layers[..., [SECOND_CHANNELS.index(name) for name in named]]
-    planes = np.ascontiguousarray(np.moveaxis(layers, 2, 0), dtype=np.float32)
+    channels = [SECOND_CHANNELS.index(name) for name in named]
     found = [np.zeros(0, np.float32)]
-    for first in range(0, len(look.boxes), _BATCH):
-        some = slice(first, first + _BATCH)
-        views = np.stack([patch((planes,), box) for box in look.boxes[some]])
-        facts = facts_of(look.boxes[some], look.scores[some])
+    for views, facts in patches_of(look, channels):
         found.append(teacher.run({teacher.picture.name: views, "facts": facts})["scores"])
     scores = np.concatenate(found).clip(1e-6, 1.0 - 1e-6)
     logits = np.log(scores / (1.0 - scores)) - shift
