@@ -3,8 +3,10 @@
 Seeds: training flights have seeds from `FIRST_TRAINING_SEED`, those for choosing epochs and
 thresholds from `FIRST_TUNING_SEED`. Tests and tables use other seeds, which are thus unseen.
 Crowns are thin or dense and glades small or large, so that people in the open are seen as well as
-hidden ones. Tuning flights are searches: 117 photos, the simulator's forests of each season, and
-people of every occlusion class.
+hidden ones. Where people lie is drawn blindly in the first flights; since three of four of those
+whom photos reach are half hidden by crowns then, and hardly anyone lies under a bush, later ones
+(`by_visibility`) draw it by how much of the ground the photos see. Tuning flights are searches: 117
+photos, the simulator's forests of each season, and people of every occlusion class.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ from hsvaos.simulate.planting import stem_places
 from hsvaos.simulate.record import simulate_flight
 from hsvaos.simulate.settings import SimulationSettings
 from hsvaos.simulate.simulation import Photo, Simulation
+from train.places import blind_places, placed_by_visibility
 
 FIRST_TRAINING_SEED = 101_000
 FIRST_TUNING_SEED = 900_100
@@ -33,11 +36,20 @@ ON_PERSON, ON_GROUND = 255, 128
 """What labels say of a pixel."""
 
 _GROUND = [int(kind) for kind in (Kind.GROUND, Kind.LITTER, Kind.WOOD, Kind.STAKE)]
-_PEOPLE = 26
 _SEARCHED_FOR = 20
-_APART_M = 2.7
 _BUSH_SHARE = 0.2
 _THERMAL_SHARE = 0.14
+
+_FIRST_BY_VISIBILITY = 101_448
+
+
+def by_visibility(seed: int) -> bool:
+    """Return whether people lie by classes in a training flight, and are as rare as in a search.
+
+    Args:
+        seed: Of the flight.
+    """
+    return _FIRST_BY_VISIBILITY <= seed < FIRST_TUNING_SEED
 
 
 def flight_settings(seed: int) -> SimulationSettings:
@@ -46,6 +58,20 @@ def flight_settings(seed: int) -> SimulationSettings:
     Args:
         seed: Of the flight.
     """
+    drawn = _blind_settings(seed)
+    return placed_by_visibility(drawn) if by_visibility(seed) else drawn
+
+
+def is_thermal(seed: int) -> bool:
+    """Return whether the photos of a training flight are thermal.
+
+    Args:
+        seed: Of the flight.
+    """
+    return _blind_settings(seed).thermal
+
+
+def _blind_settings(seed: int) -> SimulationSettings:
     rng = np.random.default_rng([seed, 301])
     season = str(rng.choice(["summer", "fall", "snow"], p=[0.37, 0.37, 0.26]))
     density = rng.uniform(280.0, 620.0)
@@ -71,7 +97,7 @@ def flight_settings(seed: int) -> SimulationSettings:
         strip_distance_m=float(rng.uniform(5.0, 8.4)),
     )
     half = np.array(mission.half_m) + 3.0
-    places = _places(rng, half)
+    places = blind_places(rng, half)
     bush = rng.uniform(size=len(places)) < _BUSH_SHARE
     drawn = SimulationSettings(
         forest=forest,
@@ -118,16 +144,6 @@ def search_settings(seed: int) -> SimulationSettings:
         camera=Camera.from_fov(1024, 1024, 90.0),
         people=_SEARCHED_FOR,
     )
-
-
-def _places(rng: np.random.Generator, half: np.ndarray) -> tuple[tuple[float, float], ...]:
-    chosen: list[np.ndarray] = []
-    for place in rng.uniform(-half, half, (40 * _PEOPLE, 2)):
-        if all(np.hypot(*(place - other)) > _APART_M for other in chosen):
-            chosen.append(place)
-        if len(chosen) == _PEOPLE:
-            break
-    return tuple((float(n), float(e)) for n, e in chosen)
 
 
 class Labelled(Simulation):

@@ -42,6 +42,8 @@ use."""
 
 _BATCH = 64
 
+_STORED = ("rays", "boxes", "scores", "people", "reach", "classes")
+
 _RIGHT, _WRONG = 0.2, 0.05
 """Overlap with a person from which a candidate is one; below the second it is none."""
 
@@ -57,6 +59,7 @@ class Look:
         scores: Shape (N,), of the first network.
         people: Shape (K, 4), boxes of everybody [px].
         reach: Shape (K,), unoccluded rays a point.
+        classes: Shape (K,), names of occlusion classes.
         taught: Shape (N,), an earlier second look's scores, see `train.teacher`; None: not asked.
     """
 
@@ -66,6 +69,7 @@ class Look:
     scores: NDArray[np.float32]
     people: NDArray[np.float32]
     reach: NDArray[np.float32]
+    classes: NDArray[np.str_]
     taught: NDArray[np.float32] | None = None
 
     @cached_property
@@ -163,9 +167,9 @@ def make_look(path: Path, target: Path, first: Network, *, as_found: bool = Fals
     layers = np.moveaxis(np.concatenate([whole, levels]), 0, 2)
     np.save(target / f"{path.stem}.layers.npy", layers.astype(np.float16))
     part = target / f"{path.stem}.part.npz"
-    np.savez(
-        part, rays=rays.astype(np.float16), boxes=boxes, scores=scores, people=people, reach=reach
-    )
+    found = {"boxes": boxes, "scores": scores, "people": people, "reach": reach}
+    with np.load(path) as data:
+        np.savez(part, rays=rays.astype(np.float16), classes=data["classes"], **found)
     part.replace(target / f"{path.stem}.npz")
 
 
@@ -209,7 +213,7 @@ def read_look(path: Path) -> Look:
     with np.load(path) as data:
         return Look(
             layers,
-            *(data[name] for name in ("rays", "boxes", "scores", "people", "reach")),
+            *(data[name] for name in _STORED),
             np.load(taught) if taught.exists() else None,
         )
 

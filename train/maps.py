@@ -24,7 +24,7 @@ from hsvaos.kernels.integrate import Integrator
 from hsvaos.kernels.rarity import apply_rarity, rarity_model
 from hsvaos.masking import Masks, cut_hues, make_masks
 from hsvaos.photos import Photos, load_photos
-from hsvaos.rarity_model import RarityModel
+from hsvaos.rarity_model import RarityModel, model_from_counts
 from hsvaos.relief.find import find_relief
 from hsvaos.rendering import (
     Integrators,
@@ -35,6 +35,7 @@ from hsvaos.rendering import (
 )
 from hsvaos.settings import Settings
 from hsvaos.surface import FocalPlane, FocalSurface
+from train.flights import by_visibility
 
 PLANES = {"plain": slice(0, 3), "rarity": slice(3, 6), "hue": slice(6, 9)}
 """Where the three integral images lie in a map; then come rarity map, rays and hue footprint, the
@@ -60,7 +61,12 @@ _ON_PLANE = 0.2
 the plane is kept in use too."""
 
 _LEFT_OUT = 0.75
-"""Share of the people whose colours are not counted as colours of the flight."""
+"""Share of the people whose colours are not counted as colours of the flight, in the first flights:
+they become rarer than anybody is in a search."""
+
+_SEARCH_PHOTOS = 117
+_AS_COMMON = (0.35, 0.8)
+"""How many people share a colour in a search, to those in a training flight; one of it drawn."""
 
 
 @dataclass(frozen=True)
@@ -160,8 +166,9 @@ def make_maps(
     truth, rng = flight_truth(folder)
     photos = load_photos(flight, 1.0, "cpu", None)
     people = outlines(truth)
-    left_out = [] if search else left_out_of(truth, rng)
-    masks = _masks(photos, left_out)
+    masks = make_masks(photos, Settings())
+    if not search:
+        masks = _with_rarity(photos, masks, _training_rarity(photos, truth, rng, masks.gains))
     said = None
     if fragments is not None and photos.is_colour:
         said = look_at_photos(photos, masks, fragments)
@@ -192,6 +199,7 @@ def make_maps(
             layers=_as_halves(layers),
             boxes=boxes,
             rays=shares[chosen].sum(axis=0),
+            classes=[person["occlusion"] for person in truth["people"]],
             gsd=gsd,
             colour=photos.is_colour,
             fragments=ours.fragments is not None,
@@ -254,14 +262,33 @@ def left_out_of(truth: dict[str, Any], rng: np.random.Generator) -> list[NDArray
     return [outline for outline in outlines(truth) if rng.uniform() < _LEFT_OUT]
 
 
-def _masks(photos: Photos, left_out: list[NDArray[np.float64]]) -> Masks:
-    """Return the weights of photos; the colours within outlines do not count as the flight's."""
-    masks = make_masks(photos, Settings())
-    if not left_out:
-        return masks
-    model = rarity_without(photos, left_out, masks.gains)
+def _with_rarity(photos: Photos, masks: Masks, model: RarityModel) -> Masks:
     rarity = apply_rarity(photos.images, model, dtype="float32", gains=masks.gains)
     return replace(masks, rarity=rarity, rarity_model=model)
+
+
+def _training_rarity(
+    photos: Photos,
+    truth: dict[str, Any],
+    rng: np.random.Generator,
+    gains: NDArray[np.float64] | None,
+) -> RarityModel:
+    """Return how rare colours are in a training flight: people are as rare as in a search."""
+    seed = int(truth["settings"]["forest"]["seed"])
+    left_out = left_out_of(truth, rng)
+    if not by_visibility(seed):
+        return rarity_without(photos, left_out, gains)
+    share = len(photos.flight.poses) / _SEARCH_PHOTOS
+    share *= float(np.random.default_rng([seed, 307]).uniform(*_AS_COMMON))
+    whole, without = (rarity_without(photos, some, gains) for some in ([], outlines(truth)))
+    counts = without.counts + share * (whole.counts - without.counts)
+    rule = Settings().mask
+    return model_from_counts(
+        np.rint(counts).astype(np.int64),
+        rule.rarity_threshold if photos.is_colour else rule.grey_rarity_threshold,
+        rule.rarity_exponent,
+        rule.rarity_smoothing_bins,
+    )
 
 
 def _integrators(

@@ -20,7 +20,7 @@ from hsvaos.detect.fragments import PACKAGED_FRAGMENTS
 from hsvaos.detect.network import Network
 from hsvaos.detect.yolo import PACKAGED, Detector
 from hsvaos.kernels.device import quiet_start
-from train.flights import FIRST_TRAINING_SEED, FIRST_TUNING_SEED, flight_settings
+from train.flights import FIRST_TRAINING_SEED, FIRST_TUNING_SEED, is_thermal
 from train.looks import Look, make_look, read_look
 from train.stages import each, flight_stage, maps_stage, seeds_of
 from train.teacher import teach
@@ -62,22 +62,30 @@ def main() -> int:
         "--keep", type=float, default=0.0, help="share of its weights that stays as it was"
     )
     parser.add_argument(
-        "--earlier", type=Path, help="an earlier second look, to learn from and to be asked beside"
+        "--earlier", type=Path, help="an earlier second look, to be asked beside the new one"
+    )
+    parser.add_argument(
+        "--teacher", type=Path, help="an earlier second look, to learn from; that of --earlier"
+    )
+    parser.add_argument(
+        "--weights", type=float, nargs="+", help="of each new network; all alike by default"
     )
     asked = parser.parse_args()
+    asked.teacher = asked.teacher or asked.earlier
+    asked.weights = asked.weights or [1.0] * len(asked.seeds)
     if not FIRST_TRAINING_SEED <= asked.first <= FIRST_TUNING_SEED - asked.flights:
         parser.error(f"--first: expected {FIRST_TRAINING_SEED} or more, got {asked.first}")
+    if len(asked.weights) != len(asked.seeds) or min(asked.weights) <= 0.0:
+        parser.error(f"--weights: expected {len(asked.seeds)} above 0, got {asked.weights}")
     if not 0.0 <= asked.keep < 1.0 or (asked.keep and asked.start_from is None):
         parser.error(f"--keep: expected 0 to 1, with --start-from, got {asked.keep:g}")
     seeds = [
-        seed
-        for seed in range(asked.first, asked.first + asked.flights)
-        if not flight_settings(seed).thermal
+        seed for seed in range(asked.first, asked.first + asked.flights) if not is_thermal(seed)
     ]
     tuning = list(range(FIRST_TUNING_SEED, FIRST_TUNING_SEED + asked.tuning))
     looks = _prepared(asked, "", seeds), _prepared(asked, "tuning_", tuning)
-    if asked.earlier is not None:
-        each("teacher", partial(_taught, looks[0], asked.earlier), seeds, asked.workers)
+    if asked.teacher is not None:
+        each("teacher", partial(_taught, looks[0], asked.teacher), seeds, asked.workers)
     return train(asked, *looks)
 
 
@@ -151,7 +159,8 @@ def train(asked: argparse.Namespace, looks: Path, tuning: Path) -> int:
         nets = [blended_second(net, asked.start_from, k, asked.keep) for k, net in enumerate(nets)]
     beside = stored_seconds(asked.earlier) if asked.earlier else []
     # those of one file count as much as those of the other
-    weights = [1.0 / len(nets)] * len(nets) + [1.0 / max(1, len(beside))] * len(beside)
+    weights = [weight / sum(asked.weights) for weight in asked.weights]
+    weights += [1.0 / max(1, len(beside))] * len(beside)
     net = MeanOfNets([*nets, *beside], weights)
     matches = matched_again(net, held_out)
     shift = threshold_shift(matches, Detector(asked.person.read_bytes()).score)
@@ -161,6 +170,7 @@ def train(asked: argparse.Namespace, looks: Path, tuning: Path) -> int:
         "tuning_seeds": seeds_of(tuning),
         "steps": asked.steps,
         "seeds": asked.seeds,
+        "weights": asked.weights,
         "first": asked.person.name,
         "started_from": asked.start_from.name if asked.start_from else "new weights",
         "kept_of_it": asked.keep,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,10 @@ _TRUST = 0.3
 _PEOPLE = 0.4
 """Share of candidates in a batch that are people."""
 
+CLASS_SHARES = {"bush": 0.25, "full": 0.1, "half": 0.45, "open": 0.2}
+"""Of each occlusion class among these people, as in a search: drawn evenly, three of four would be
+half hidden, as they are the most in flights whose places are drawn blindly."""
+
 
 class Candidates(IterableDataset[Any]):
     """Endless batches of candidates.
@@ -52,16 +57,28 @@ class Candidates(IterableDataset[Any]):
         worker = get_worker_info()
         rng = np.random.default_rng([self.seed, worker.id if worker else 0])
         looks = [read_look(path) for path in self.paths]
-        right = [(k, i) for k, one in enumerate(looks) for i in np.flatnonzero(one.whose >= 0)]
+        right = _by_class(looks)
+        shares = np.array([CLASS_SHARES[name] for name in right])
+        shares /= shares.sum()
         wrong = [(k, i) for k, one in enumerate(looks) for i in np.flatnonzero(one.whose == -1)]
         # what nearly passes for a person teaches most
         weight = np.sqrt([looks[k].scores[i] for k, i in wrong])
         weight /= weight.sum()
         while True:
             people = int(rng.binomial(BATCH, _PEOPLE))
-            chosen = [right[i] for i in rng.integers(len(right), size=people)]
+            pools = [right[name] for name in rng.choice(list(right), people, p=shares)]
+            chosen = [pool[rng.integers(len(pool))] for pool in pools]
             chosen += [wrong[i] for i in rng.choice(len(wrong), BATCH - people, p=weight)]
             yield collate([drawn(looks[k], i, rng) for k, i in chosen])
+
+
+def _by_class(looks: Sequence[Look]) -> dict[str, list[tuple[int, int]]]:
+    """Return looks and candidates that are people, by occlusion class; classes of nobody not."""
+    found: dict[str, list[tuple[int, int]]] = {name: [] for name in CLASS_SHARES}
+    for k, one in enumerate(looks):
+        for i in np.flatnonzero(one.whose >= 0).tolist():
+            found[str(one.classes[one.whose[i]])].append((k, i))
+    return {name: own for name, own in found.items() if own}
 
 
 def drawn(look: Look, index: int, rng: np.random.Generator) -> tuple[Any, ...]:
@@ -203,9 +220,8 @@ def fit_second(
     """
     torch.manual_seed(seed)
     out.mkdir(parents=True, exist_ok=True)
-    net, mean = start or SecondNet(), SecondNet()
-    net = net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    mean.load_state_dict(net.state_dict())
+    net = (start or SecondNet()).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    mean = deepcopy(net)
     optimizer = torch.optim.AdamW(net.parameters(), lr=rate, weight_decay=1e-2)
     state_path, start = out / "second_state.pt", 0
     if state_path.exists():

@@ -12,7 +12,9 @@ pytest.importorskip("onnx", reason="needs pip install 'hsvaos[train]'")
 import train.maps
 from hsvaos.detect.fragments import PhotoEvidence
 from hsvaos.formats.native_write import write_native
+from hsvaos.formats.open import open_flight
 from hsvaos.masking import make_masks
+from hsvaos.photos import load_photos
 from hsvaos.settings import Settings
 from hsvaos.surface import FocalTerrain
 from tests.relief.ground import flown, waves
@@ -21,8 +23,10 @@ from train.maps import (
     GROUND_RAYS,
     Condition,
     _on_relief,
+    _training_rarity,
     conditions,
     make_maps,
+    rarity_without,
 )
 
 
@@ -41,7 +45,8 @@ def flight(tmp_path_factory) -> tuple[Path, np.ndarray]:
     """A flight as the simulator leaves it: photos, poses and a person, whom every photo sees."""
     folder = tmp_path_factory.mktemp("maps") / "flight_5"
     photos, ground = flown(waves(), hidden=0.2)
-    person = {"outline_ned_m": [[1.0, 1.0, 0.0], [1.0, 2.0, 0.0], [1.5, 1.0, 0.0]]}
+    outline = [[1.0, 1.0, 0.0], [1.0, 2.0, 0.0], [1.5, 1.0, 0.0]]
+    person = {"outline_ned_m": outline, "occlusion": "bush"}
     truth = {
         "settings": {"forest": {"seed": 5}},
         "people": [person],
@@ -58,10 +63,7 @@ def _maps(flight, target, monkeypatch, *wanted: Condition) -> list[dict[str, np.
     target.mkdir(exist_ok=True)
     monkeypatch.setattr(train.maps, "conditions", lambda rng: list(wanted))
     make_maps(folder, target, fragments=Knows(ground))
-    return [
-        {k: np.asarray(v, np.float32) for k, v in np.load(target / f"flight_5_{n}.npz").items()}
-        for n in range(len(wanted))
-    ]
+    return [dict(np.load(target / f"flight_5_{n}.npz")) for n in range(len(wanted))]
 
 
 def test_maps_are_on_the_relief_whatever_the_focus(flight, tmp_path, monkeypatch):
@@ -74,6 +76,7 @@ def test_maps_are_on_the_relief_whatever_the_focus(flight, tmp_path, monkeypatch
     assert alike[1] > 0.95
     assert alike[2] < 0.8
     assert relief["rays"] == pytest.approx(0.75 * len(flight[1]))
+    assert relief["classes"].tolist() == ["bush"]
 
 
 def test_photos_left_out_tell_nothing_of_the_relief():
@@ -93,3 +96,19 @@ def test_some_maps_are_on_a_plane():
     rng = np.random.default_rng(4)
     drawn = [one.relief for _ in range(100) for one in conditions(rng)]
     assert 0.1 < 1.0 - np.mean(drawn) < 0.3
+
+
+def test_people_of_later_flights_are_as_common_as_in_a_search(flight):
+    folder, _ = flight
+    photos = load_photos(open_flight(folder), 1.0, "cpu", None)
+    outline = np.array([[-4.0, -4.0, 0.0], [-4.0, 4.0, 0.0], [4.0, 4.0, 0.0], [4.0, -4.0, 0.0]])
+    whole, without = (rarity_without(photos, some, None).counts for some in ([], [outline]))
+    truth = {"people": [{"outline_ned_m": outline}], "settings": {"forest": {"seed": 101_448}}}
+    found = _training_rarity(photos, truth, np.random.default_rng(0), None).counts
+    own = whole - without
+    assert own.sum() > 1000
+    share = (found - without).sum() / own.sum()
+    length = len(photos.flight.poses) / 117.0  # a search has as many people in more photos
+    assert 0.35 * length < share < 0.8 * length
+    # whole colours, so that a colour's count is at most half a one off
+    np.testing.assert_allclose(found, without + share * own, atol=0.5 + 0.02 * own.max())

@@ -55,6 +55,7 @@ def drawn_map(path, people=6, seed=0, side=420):
     rays = np.full(people, 5.0)
     rays[0] = 0.1
     known = {"boxes": boxes, "rays": rays, "gsd": 0.05, "colour": True, "fragments": True}
+    known["classes"] = ["half"] * people
     np.savez(path, layers=layers.astype(np.float16), **known)
     return path
 

@@ -21,7 +21,7 @@ from hsvaos.detect.second_look import (  # noqa: E402
 from tests.detect.nets import own_net  # noqa: E402
 from tests.train.test_recipe import drawn_map  # noqa: E402
 from train.looks import Look, make_look, read_look  # noqa: E402
-from train.second_fit import collate, drawn, fit_second, loss_of, shifted  # noqa: E402
+from train.second_fit import CLASS_SHARES, Candidates, collate, drawn, fit_second, loss_of, shifted  # noqa: E402
 from train.second_judge import (  # noqa: E402
     looked_again,
     matched_again,
@@ -48,14 +48,15 @@ def first_network(path):
     return Network(path)
 
 
-def a_look(people, boxes, reach=None):
+def a_look(people, boxes, reach=None, classes=None):
     boxes = np.array(boxes, np.float32).reshape(-1, 4)
     layers = np.zeros((100, 100, len(SECOND_CHANNELS)), np.float16)
     reach = np.full(len(people), 9.0) if reach is None else np.array(reach)
     people = np.array(people, np.float32).reshape(-1, 4)
     rays = np.full((100, 100), 30.0, np.float16)
     scores = np.full(len(boxes), 0.3, np.float32)
-    return Look(layers, rays, boxes, scores, people, reach)
+    classes = np.array(classes or ["half"] * len(people), dtype="U8")
+    return Look(layers, rays, boxes, scores, people, reach, classes)
 
 
 def test_candidates_are_people_nobody_or_not_taught():
@@ -71,6 +72,25 @@ def test_candidates_are_people_nobody_or_not_taught():
     found = a_look(people, boxes, reach=[9.0, 0.5])
     assert found.whose.tolist() == [0, -2, -1, 0, -2, -2]
     assert a_look([], boxes).whose.tolist() == [-1] * len(boxes)
+
+
+def test_rare_classes_of_people_are_drawn_as_often_as_in_a_search(tmp_path, monkeypatch):
+    """Of 40 people 37 are half hidden; whose candidate is drawn tells its size."""
+    names = ["half"] * 37 + ["bush", "open", "open"]
+    sides = {"half": 10.0, "bush": 20.0, "open": 40.0}
+    people = [[30.0, 30.0, 30.0 + sides[name], 50.0] for name in names]
+    look = a_look(people, [*people, [70.0, 70.0, 75.0, 90.0]], classes=names)
+    look.__dict__["whose"] = np.arange(-1, 40)[np.r_[1:41, 0]]
+    monkeypatch.setattr("train.second_fit.read_look", lambda path: look)
+    batches = iter(Candidates([tmp_path / "one"], seed=3))
+    drawn_ones = [next(batches) for _ in range(4)]
+    boxes = np.concatenate([batch[3].numpy()[batch[4].numpy() > 0] for batch in drawn_ones])
+    # turned and resized patches keep a box's ratio of sides: .5, 1 and 2, or its inverse
+    ratio = np.abs(np.log2((boxes[:, 2] - boxes[:, 0]) / (boxes[:, 3] - boxes[:, 1])))
+    assert 120 < len(boxes) < 190
+    square = np.mean(ratio < 0.2)
+    expected = CLASS_SHARES["bush"] / (1.0 - CLASS_SHARES["full"])
+    assert square == pytest.approx(expected, abs=0.1)  # 1 in 40 if all were drawn alike
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -229,6 +249,24 @@ def test_exported_networks_come_back_as_they_were_and_can_be_trained(tmp_path):
             again.dropout.p = 0.0
             resting, moving = again(*shown)[0], again.train()(*shown)[0]
             assert float((resting - moving).abs().max()) < 0.05 * float(resting.std())
+
+
+def test_a_network_of_another_size_is_trained_further_as_it_is(tmp_path):
+    kinds = {"widths": (16, 24, 32, 40, 20), "depths": (1, 0, 2, 1), "channels": len(CHANNELS)}
+    (small, _), shown = _ready(13, **kinds)
+    first = first_network(tmp_path / "first.onnx")
+    (tmp_path / "looks").mkdir()
+    make_look(drawn_map(tmp_path / "flight_0_0.npz"), tmp_path / "looks", first)
+    with torch.no_grad():
+        before = small(*shown)[0]
+    paths = [tmp_path / "looks" / "flight_0_0.npz"]
+    net = fit_second(paths, tmp_path / "out", steps=2, workers=0, rate=1e-3, start=small)
+    assert net.channels == len(CHANNELS)
+    with torch.no_grad():
+        after = net(*shown)[0]
+    assert not torch.equal(after, before)
+    assert float((after - before).std()) < float(before.std())
+    assert torch.load(tmp_path / "out" / "second_state.pt")["step"] == 2
 
 
 @pytest.mark.parametrize("index", [0, 1])
