@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 
 from hsvaos.kernels.device import quiet_start
-from train.flights import FIRST_TRAINING_SEED, FIRST_TUNING_SEED, flight_settings
+from train.flights import FIRST_TRAINING_SEED, FIRST_TUNING_SEED, is_thermal
 from train.fragment_crops import make_crops
 from train.stages import each, flight_stage, maps_stage, seeds_of
 
@@ -29,7 +29,7 @@ _LEFT_FOR_LOSS = 2
 def _crops(flights: Path, crops: Path, seed: int) -> str:
     quiet_start()
     flight, target = flights / f"flight_{seed}", crops / f"flight_{seed}.npz"
-    if not target.exists() and not flight_settings(seed).thermal:
+    if not target.exists() and not is_thermal(seed):
         make_crops(flight, target)
     return flight.name
 

@@ -16,7 +16,8 @@ from hsvaos.masking import levelled
 from hsvaos.photos import load_photos
 from hsvaos.settings import Settings
 from train.flights import ON_GROUND, ON_PERSON, labels_of
-from train.maps import flight_truth, left_out_of, rarity_without
+from train.rarity import training_rarity
+from train.truth import flight_truth
 
 SIDE_PX = 96
 _SHAPE = len(FRAGMENT_CHANNELS), SIDE_PX, SIDE_PX
@@ -64,7 +65,7 @@ def make_crops(folder: Path, target: Path) -> None:
     photos = load_photos(flight, 1.0, "cpu", None)
     truth, rng = flight_truth(folder)
     gains = levelled(photos, Settings())
-    model = rarity_without(photos, left_out_of(truth, rng), gains)
+    model = training_rarity(photos, truth, rng, gains)
     inputs = FragmentInput(photos.images, model, gains)
     labels = labels_of(folder)
     count, height, width = photos.images.shape[:3]

@@ -7,12 +7,10 @@ with these poses, as `hsvaos.run` does, and now and then on a plane that is out 
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,10 +19,10 @@ from hsvaos.camera import VirtualCamera
 from hsvaos.detect.fragments import FragmentNet, PhotoEvidence
 from hsvaos.kernels.hue_mask import measure_hue
 from hsvaos.kernels.integrate import Integrator
-from hsvaos.kernels.rarity import apply_rarity, rarity_model
+from hsvaos.kernels.rarity import apply_rarity
 from hsvaos.masking import Masks, cut_hues, make_masks
 from hsvaos.photos import Photos, load_photos
-from hsvaos.rarity_model import RarityModel, model_from_counts
+from hsvaos.rarity_model import RarityModel
 from hsvaos.relief.find import find_relief
 from hsvaos.rendering import (
     Integrators,
@@ -35,7 +33,8 @@ from hsvaos.rendering import (
 )
 from hsvaos.settings import Settings
 from hsvaos.surface import FocalPlane, FocalSurface
-from train.flights import by_visibility
+from train.rarity import training_rarity
+from train.truth import flight_truth, outlines
 
 PLANES = {"plain": slice(0, 3), "rarity": slice(3, 6), "hue": slice(6, 9)}
 """Where the three integral images lie in a map; then come rarity map, rays and hue footprint, the
@@ -59,14 +58,6 @@ _BORDER_M = 5.0
 _ON_PLANE = 0.2
 """Share of the maps of training flights that are on a plane: where a flight's rays do not agree,
 the plane is kept in use too."""
-
-_LEFT_OUT = 0.75
-"""Share of the people whose colours are not counted as colours of the flight, in the first flights:
-they become rarer than anybody is in a search."""
-
-_SEARCH_PHOTOS = 117
-_AS_COMMON = (0.35, 0.8)
-"""How many people share a colour in a search, to those in a training flight; one of it drawn."""
 
 
 @dataclass(frozen=True)
@@ -168,7 +159,7 @@ def make_maps(
     people = outlines(truth)
     masks = make_masks(photos, Settings())
     if not search:
-        masks = _with_rarity(photos, masks, _training_rarity(photos, truth, rng, masks.gains))
+        masks = _with_rarity(photos, masks, training_rarity(photos, truth, rng, masks.gains))
     said = None
     if fragments is not None and photos.is_colour:
         said = look_at_photos(photos, masks, fragments)
@@ -233,62 +224,9 @@ def _box(view: VirtualCamera, outline: NDArray[np.float64]) -> NDArray[np.float6
     return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
 
 
-def flight_truth(folder: Path) -> tuple[dict[str, Any], np.random.Generator]:
-    """Return the truth of a flight, and what draws everything of its maps.
-
-    Args:
-        folder: The flight.
-    """
-    truth = json.loads((folder / "truth.json").read_text())
-    return truth, np.random.default_rng([int(truth["settings"]["forest"]["seed"]), 302])
-
-
-def outlines(truth: dict[str, Any]) -> list[NDArray[np.float64]]:
-    """Return the outline of everyone, shape (K, 3), NED [m].
-
-    Args:
-        truth: Of a flight.
-    """
-    return [np.array(person["outline_ned_m"]) for person in truth["people"]]
-
-
-def left_out_of(truth: dict[str, Any], rng: np.random.Generator) -> list[NDArray[np.float64]]:
-    """Return the outlines of those whose colours are not counted as colours of the flight.
-
-    Args:
-        truth: Of the flight.
-        rng: Fresh from `flight_truth`.
-    """
-    return [outline for outline in outlines(truth) if rng.uniform() < _LEFT_OUT]
-
-
 def _with_rarity(photos: Photos, masks: Masks, model: RarityModel) -> Masks:
     rarity = apply_rarity(photos.images, model, dtype="float32", gains=masks.gains)
     return replace(masks, rarity=rarity, rarity_model=model)
-
-
-def _training_rarity(
-    photos: Photos,
-    truth: dict[str, Any],
-    rng: np.random.Generator,
-    gains: NDArray[np.float64] | None,
-) -> RarityModel:
-    """Return how rare colours are in a training flight: people are as rare as in a search."""
-    seed = int(truth["settings"]["forest"]["seed"])
-    left_out = left_out_of(truth, rng)
-    if not by_visibility(seed):
-        return rarity_without(photos, left_out, gains)
-    share = len(photos.flight.poses) / _SEARCH_PHOTOS
-    share *= float(np.random.default_rng([seed, 307]).uniform(*_AS_COMMON))
-    whole, without = (rarity_without(photos, some, gains) for some in ([], outlines(truth)))
-    counts = without.counts + share * (whole.counts - without.counts)
-    rule = Settings().mask
-    return model_from_counts(
-        np.rint(counts).astype(np.int64),
-        rule.rarity_threshold if photos.is_colour else rule.grey_rarity_threshold,
-        rule.rarity_exponent,
-        rule.rarity_smoothing_bins,
-    )
 
 
 def _integrators(
@@ -305,37 +243,6 @@ def _integrators(
     stats, _ = measure_hue(photos.images, *how, valid=photos.valid, gains=gains)
     cut = cut_hues(photos, mask, stats, gains)
     return ours, replace(ours, hue=hue_integrator(photos, *cut, gains))
-
-
-def rarity_without(
-    photos: Photos, left_out: list[NDArray[np.float64]], gains: NDArray[np.float64] | None
-) -> RarityModel:
-    """Return the histogram of a flight that some people's outlines are kept out of.
-
-    Training flights are short and crowded: counted whole, clothes would be as common as flowers. In
-    a search there are few people on much more ground.
-
-    Args:
-        photos: The photos.
-        left_out: The outlines.
-        gains: Factors that level the photos.
-    """
-    flight = photos.flight
-    valid = np.full((len(flight.poses), *photos.images.shape[1:3]), 255, dtype=np.uint8)
-    for pose, mask in zip(flight.poses, valid, strict=True):
-        for outline in left_out:
-            pixels = flight.camera.project((outline - pose[:3, 3]) @ pose[:3, :3])
-            if np.isfinite(pixels).all():
-                cv2.fillConvexPoly(mask, np.rint(pixels).astype(np.int32), 0)
-    rule = Settings().mask
-    return rarity_model(
-        photos.images,
-        threshold=rule.rarity_threshold if photos.is_colour else rule.grey_rarity_threshold,
-        exponent=rule.rarity_exponent,
-        smoothing_bins=rule.rarity_smoothing_bins,
-        valid=valid,
-        gains=gains,
-    )
 
 
 def _layers(

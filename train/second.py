@@ -79,6 +79,12 @@ def main() -> int:
         parser.error(f"--weights: expected {len(asked.seeds)} above 0, got {asked.weights}")
     if not 0.0 <= asked.keep < 1.0 or (asked.keep and asked.start_from is None):
         parser.error(f"--keep: expected 0 to 1, with --start-from, got {asked.keep:g}")
+    if asked.start_from is not None:
+        from train.warm import stored_seconds
+
+        held = len(stored_seconds(asked.start_from))
+        if held != len(asked.seeds):
+            parser.error(f"--seeds: expected {held}, one a network of the file, got {asked.seeds}")
     seeds = [
         seed for seed in range(asked.first, asked.first + asked.flights) if not is_thermal(seed)
     ]
@@ -172,9 +178,10 @@ def train(asked: argparse.Namespace, looks: Path, tuning: Path) -> int:
         "seeds": asked.seeds,
         "weights": asked.weights,
         "first": asked.person.name,
-        "started_from": asked.start_from.name if asked.start_from else "new weights",
+        "started_from": _story_of(asked.start_from) if asked.start_from else "new weights",
         "kept_of_it": asked.keep,
         "earlier": _story_of(asked.earlier) if asked.earlier else "none",
+        "teacher": _story_of(asked.teacher) if asked.teacher else "none",
         "tuning": figures_of(matches),
         "shift": round(shift, 4),
     }

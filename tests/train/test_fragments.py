@@ -20,7 +20,8 @@ from train.flights import Labelled, labels_of  # noqa: E402
 from train.fragment_crops import SIDE_PX, as_input, make_crops, read_crops  # noqa: E402
 from train.fragment_fit import fit_fragments, loss_on  # noqa: E402
 from train.fragment_net import Evidence, export_fragments  # noqa: E402
-from train.maps import flight_truth, left_out_of, rarity_without  # noqa: E402
+from train.rarity import training_rarity  # noqa: E402
+from train.truth import flight_truth  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +71,7 @@ def test_crops_are_the_input_of_the_photos(flight, crops):
     photos = load_photos(hsvaos.open_flight(flight), device="cpu")
     truth, rng = flight_truth(flight)
     gains = levelled(photos, Settings())
-    model = rarity_without(photos, left_out_of(truth, rng), gains)
+    model = training_rarity(photos, truth, rng, gains)
     whole = FragmentInput(photos.images, model, gains)(0)
     first = as_input(found.inputs[0])
     places = [

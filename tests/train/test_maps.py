@@ -23,11 +23,10 @@ from train.maps import (
     GROUND_RAYS,
     Condition,
     _on_relief,
-    _training_rarity,
     conditions,
     make_maps,
-    rarity_without,
 )
+from train.rarity import rarity_without, training_rarity
 
 
 class Knows:
@@ -104,11 +103,11 @@ def test_people_of_later_flights_are_as_common_as_in_a_search(flight):
     outline = np.array([[-4.0, -4.0, 0.0], [-4.0, 4.0, 0.0], [4.0, 4.0, 0.0], [4.0, -4.0, 0.0]])
     whole, without = (rarity_without(photos, some, None).counts for some in ([], [outline]))
     truth = {"people": [{"outline_ned_m": outline}], "settings": {"forest": {"seed": 101_448}}}
-    found = _training_rarity(photos, truth, np.random.default_rng(0), None).counts
+    found = training_rarity(photos, truth, np.random.default_rng(0), None).counts
     own = whole - without
     assert own.sum() > 1000
     share = (found - without).sum() / own.sum()
     length = len(photos.flight.poses) / 117.0  # a search has as many people in more photos
     assert 0.35 * length < share < 0.8 * length
-    # whole colours, so that a colour's count is at most half a one off
+    # counts are whole numbers, and the share found is a little off by that
     np.testing.assert_allclose(found, without + share * own, atol=0.5 + 0.02 * own.max())

@@ -21,7 +21,15 @@ from hsvaos.detect.second_look import (  # noqa: E402
 from tests.detect.nets import own_net  # noqa: E402
 from tests.train.test_recipe import drawn_map  # noqa: E402
 from train.looks import Look, make_look, read_look  # noqa: E402
-from train.second_fit import CLASS_SHARES, Candidates, collate, drawn, fit_second, loss_of, shifted  # noqa: E402
+from train.second_fit import (  # noqa: E402
+    CLASS_SHARES,
+    Candidates,
+    collate,
+    drawn,
+    fit_second,
+    loss_of,
+    shifted,
+)
 from train.second_judge import (  # noqa: E402
     looked_again,
     matched_again,
@@ -75,17 +83,17 @@ def test_candidates_are_people_nobody_or_not_taught():
 
 
 def test_rare_classes_of_people_are_drawn_as_often_as_in_a_search(tmp_path, monkeypatch):
-    """Of 40 people 37 are half hidden; whose candidate is drawn tells its size."""
+    """Of 40 people 37 are half hidden; only the one under a bush has a square box."""
     names = ["half"] * 37 + ["bush", "open", "open"]
     sides = {"half": 10.0, "bush": 20.0, "open": 40.0}
     people = [[30.0, 30.0, 30.0 + sides[name], 50.0] for name in names]
     look = a_look(people, [*people, [70.0, 70.0, 75.0, 90.0]], classes=names)
-    look.__dict__["whose"] = np.arange(-1, 40)[np.r_[1:41, 0]]
+    look.__dict__["whose"] = np.append(np.arange(40), -1)  # boxes lie over each other
     monkeypatch.setattr("train.second_fit.read_look", lambda path: look)
     batches = iter(Candidates([tmp_path / "one"], seed=3))
     drawn_ones = [next(batches) for _ in range(4)]
     boxes = np.concatenate([batch[3].numpy()[batch[4].numpy() > 0] for batch in drawn_ones])
-    # turned and resized patches keep a box's ratio of sides: .5, 1 and 2, or its inverse
+    # turned and resized, a patch keeps a box's ratio of sides: .5, 1 and 2, or the inverse
     ratio = np.abs(np.log2((boxes[:, 2] - boxes[:, 0]) / (boxes[:, 3] - boxes[:, 1])))
     assert 120 < len(boxes) < 190
     square = np.mean(ratio < 0.2)
