@@ -114,10 +114,10 @@ def train(work: Path, maps: Path, tuning: Path, asked: argparse.Namespace) -> in
     """Fit, choose the threshold, export."""
     from train.export import export
     from train.fit import BATCH, Crops, fit
-    from train.judge import judge, threshold
+    from train.judge import from_maps, judge, threshold
     from train.warm import blended
 
-    held_out = sorted(tuning.glob("*.npz"))
+    held_out = partial(from_maps, sorted(tuning.glob("*.npz")))
     net = fit(
         partial(Crops, maps),
         work,
@@ -131,7 +131,7 @@ def train(work: Path, maps: Path, tuning: Path, asked: argparse.Namespace) -> in
     if asked.keep:
         net = blended(net, asked.start_from, asked.keep)
     figures = judge(held_out)(net)
-    score = threshold(net, held_out)
+    score = threshold(net, held_out())
     story = {
         "recipe": "python -m train",
         "training_seeds": seeds_of(maps),

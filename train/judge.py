@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 import cv2
@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from torch import nn
 
 from hsvaos.detect.few_rays import doubted
+from hsvaos.detect.network_input import CHANNELS
 from hsvaos.evaluate.detection import Matches, match_boxes
-from train.looks import input_of
+from train.looks import Look, input_of
 from train.net import MULTIPLE, Exported, PersonNet
 from train.samples import LEAST_RAYS_SEEN
 
@@ -21,6 +22,10 @@ REACHED = 1.5
 """Unoccluded rays a point from which a person is to be found; others are ignored."""
 
 IOUS = (0.10, 0.25, 0.50)
+
+Judged = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
+"""What a network is judged by: its input (25, H, W), rays (H, W), boxes of people (K, 4), and
+unoccluded rays (K,)."""
 
 _FLOOR = 0.02
 NMS_IOU = 0.25
@@ -47,13 +52,35 @@ def finds(net: nn.Module, whole: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return boxes[kept.reshape(-1)], scores[kept.reshape(-1)]
 
 
-def judge(paths: list[Path]) -> Callable[[PersonNet], dict[str, float]]:
-    """Return what measures a network on maps.
+def from_maps(paths: Sequence[Path]) -> Iterator[Judged]:
+    """Yield maps as a network is judged by them.
 
     Args:
         paths: Of maps.
     """
-    return lambda net: figures_of(matched(net, paths, IOUS))
+    for path in paths:
+        whole, _, rays, people, reach = input_of(path, None)
+        yield whole, rays, people, reach
+
+
+def from_looks(looks: Sequence[Look]) -> Iterator[Judged]:
+    """Yield looks as a network is judged by them; their candidates do not count.
+
+    Args:
+        looks: Of tuning flights.
+    """
+    for look in looks:
+        whole = np.moveaxis(look.layers[..., : len(CHANNELS)], 2, 0)
+        yield whole.astype(np.float32), look.rays.astype(np.float32), look.people, look.reach
+
+
+def judge(every: Callable[[], Iterable[Judged]]) -> Callable[[PersonNet], dict[str, float]]:
+    """Return what measures a network on maps.
+
+    Args:
+        every: Gives the maps.
+    """
+    return lambda net: figures_of(matched(net, every(), IOUS))
 
 
 def figures_of(matches: dict[float, Matches]) -> dict[str, float]:
@@ -72,15 +99,15 @@ def figures_of(matches: dict[float, Matches]) -> dict[str, float]:
     return figures
 
 
-def threshold(net: PersonNet, paths: list[Path], precision: float = 0.95) -> float:
+def threshold(net: PersonNet, every: Iterable[Judged], precision: float = 0.95) -> float:
     """Return the least score from which the finds on maps have a precision at IoU .25.
 
     Args:
         net: The network.
-        paths: Of maps.
+        every: The maps.
         precision: To be reached.
     """
-    return round(least_score(matched(net, paths, (0.25,))[0.25], precision), 3)
+    return round(least_score(matched(net, every, (0.25,))[0.25], precision), 3)
 
 
 def least_score(matches: Matches, precision: float) -> float:
@@ -95,20 +122,21 @@ def least_score(matches: Matches, precision: float) -> float:
     return float(curve.scores[good[-1]]) if good.size else 0.5
 
 
-def matched(net: PersonNet, paths: list[Path], ious: tuple[float, ...]) -> dict[float, Matches]:
+def matched(
+    net: PersonNet, every: Iterable[Judged], ious: tuple[float, ...]
+) -> dict[float, Matches]:
     """Return the finds of a network on maps, matched with the truth, by IoU threshold.
 
     Args:
         net: The network.
-        paths: Of maps.
+        every: The maps.
         ious: Thresholds.
     """
     exported = Exported(net).eval()
     parts: dict[float, list[Matches]] = {iou: [] for iou in ious}
-    for path in paths:
-        whole, _, seen_by, people, reach = input_of(path, None)
+    for whole, rays, people, reach in every:
         boxes, scores = finds(exported, whole)
-        for iou, own in matched_finds(boxes, scores, seen_by, people, reach, ious).items():
+        for iou, own in matched_finds(boxes, scores, rays, people, reach, ious).items():
             parts[iou].append(own)
     return {iou: Matches.join(own) for iou, own in parts.items()}
 

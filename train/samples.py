@@ -68,13 +68,13 @@ def visit(path: Path, rng: np.random.Generator, crops: int) -> list[Sample]:
         boxes, rays, gsd = data["boxes"], data["rays"], float(data["gsd"])
         colour, pieces = bool(data["colour"]), bool(data["fragments"])
     layers, boxes, gsd = _scaled(layers, boxes, gsd, rng)
-    layers, boxes = _turned(layers, boxes, rng)
+    layers, boxes = turned(layers, boxes, rng)
     whole, drawn, blurred = _look(layers, boxes, gsd, colour, pieces, rng)
     boxes = np.concatenate([boxes, drawn])
     rays = np.concatenate([np.zeros_like(rays) if blurred else rays, np.full(len(drawn), np.inf)])
     height, width = whole.shape[1:]
     middle = 0.5 * (boxes[:, :2] + boxes[:, 2:])
-    seen = _seen_at(layers[RAYS], middle)
+    seen = seen_at(layers[RAYS], middle)
     wanted = (rays >= LEAST_RAYS) & seen
     samples = []
     for _ in range(crops):
@@ -87,11 +87,27 @@ def visit(path: Path, rng: np.random.Generator, crops: int) -> list[Sample]:
         part = np.zeros((len(whole), CROP_PX, CROP_PX), dtype=np.float32)
         cut = whole[:, y : y + CROP_PX, x : x + CROP_PX]
         part[:, : cut.shape[1], : cut.shape[2]] = cut
-        inside = (middle > [x, y]).all(axis=1) & (middle < [x + CROP_PX, y + CROP_PX]).all(axis=1)
-        moved = boxes - [x, y, x, y]
-        near = (moved[:, 2:] > 0.0).all(axis=1) & (moved[:, :2] < CROP_PX).all(axis=1)
-        samples.append(Sample(part, moved[inside & wanted], moved[near & ~(inside & wanted)]))
+        samples.append(Sample(part, *people_in(boxes - [x, y, x, y], wanted, CROP_PX)))
     return samples
+
+
+def people_in(
+    boxes: NDArray[np.float64], wanted: NDArray[np.bool_], side: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return whom a crop shall find, and whom it shows beside them.
+
+    Args:
+        boxes: Shape (K, 4), of everybody, from the corner of the crop [px].
+        wanted: Shape (K,), who is to be found, if in the crop.
+        side: Of the crop [px].
+
+    Returns:
+        Boxes (N, 4) and (M, 4).
+    """
+    middle = 0.5 * (boxes[:, :2] + boxes[:, 2:])
+    own = wanted & (middle > 0.0).all(axis=1) & (middle < side).all(axis=1)
+    near = (boxes[:, 2:] > 0.0).all(axis=1) & (boxes[:, :2] < side).all(axis=1)
+    return boxes[own], boxes[near & ~own]
 
 
 def _scaled(
@@ -128,9 +144,10 @@ def at_sampling(
     return small, (boxes + 0.5) * scale - 0.5
 
 
-def _turned(
+def turned(
     layers: NDArray[np.float32], boxes: NDArray[np.float64], rng: np.random.Generator
 ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Return layers (L, H, W) and boxes (K, 4) in one of eight turns."""
     if rng.uniform() < 0.5:
         layers, boxes = layers.transpose(0, 2, 1), boxes[:, [1, 0, 3, 2]]
     height, width = layers.shape[1:]
@@ -181,7 +198,7 @@ def _look(
         agreed_in(layers, FRAGMENT_COLOUR, FRAGMENT_COHERENCE) if looked else None,
         agreed_in(layers, GROUND, GROUND_RAYS) if looked else None,
     )
-    return _jittered(whole, rng), np.zeros((0, 4)), False
+    return jittered(whole, rng), np.zeros((0, 4)), False
 
 
 def _image(layers: NDArray[np.float32], kind: str) -> NDArray[np.float32]:
@@ -225,10 +242,10 @@ def _alone(
     if rng.uniform() < 0.3:
         image = 255.0 * np.power(np.clip(image / 255.0, 0.0, 1.0), rng.uniform(0.6, 1.6))
     image[layers[RAYS] <= 0.0] = np.nan if rng.uniform() < 0.5 else 0.0
-    return _jittered(network_input(image), rng), drawn, smooth
+    return jittered(network_input(image), rng), drawn, smooth
 
 
-def _jittered(whole: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
+def jittered(whole: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
     """Vary contrast and noise a little."""
     if rng.uniform() < 0.5:
         factors = np.exp(rng.normal(0.0, 0.15, (len(whole), 1, 1))).astype(np.float32)
@@ -241,7 +258,8 @@ def _jittered(whole: NDArray[np.float32], rng: np.random.Generator) -> NDArray[n
     return whole
 
 
-def _seen_at(rays: NDArray[np.float32], places: NDArray[np.float64]) -> NDArray[np.bool_]:
+def seen_at(rays: NDArray[np.floating], places: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which places (K, 2), x and y [px], lie where enough photos see the ground."""
     height, width = rays.shape
     inside = (places > 2).all(axis=1) & (places < [width - 3, height - 3]).all(axis=1)
     at = np.clip(np.rint(places).astype(int), 0, [width - 1, height - 1])

@@ -19,6 +19,7 @@ from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 from hsvaos.detect.levels import LEVEL_CHANNELS
 from hsvaos.detect.network_input import CHANNELS
 from hsvaos.detect.second_look import LOOK_PX, SECOND_CHANNELS, corner_of, facts_of, patch
+from train.classes import ByClass
 from train.fit import average, note, overlap, schedule, short_floats
 from train.looks import Look, read_look
 from train.second_net import SecondNet
@@ -34,10 +35,6 @@ _TRUST = 0.3
 
 _PEOPLE = 0.4
 """Share of candidates in a batch that are people."""
-
-CLASS_SHARES = {"bush": 0.25, "full": 0.1, "half": 0.45, "open": 0.2}
-"""Of each occlusion class among these people, as in a search: drawn evenly, three of four would be
-half hidden, as they are the most in flights whose places are drawn blindly."""
 
 
 class Candidates(IterableDataset[Any]):
@@ -57,28 +54,20 @@ class Candidates(IterableDataset[Any]):
         worker = get_worker_info()
         rng = np.random.default_rng([self.seed, worker.id if worker else 0])
         looks = [read_look(path) for path in self.paths]
-        right = _by_class(looks)
-        shares = np.array([CLASS_SHARES[name] for name in right])
-        shares /= shares.sum()
+        right = ByClass(
+            (k, i, str(one.classes[one.whose[i]]))
+            for k, one in enumerate(looks)
+            for i in np.flatnonzero(one.whose >= 0).tolist()
+        )
         wrong = [(k, i) for k, one in enumerate(looks) for i in np.flatnonzero(one.whose == -1)]
         # what nearly passes for a person teaches most
         weight = np.sqrt([looks[k].scores[i] for k, i in wrong])
         weight /= weight.sum()
         while True:
             people = int(rng.binomial(BATCH, _PEOPLE))
-            pools = [right[name] for name in rng.choice(list(right), people, p=shares)]
-            chosen = [pool[rng.integers(len(pool))] for pool in pools]
+            chosen = right.drawn(people, rng)
             chosen += [wrong[i] for i in rng.choice(len(wrong), BATCH - people, p=weight)]
             yield collate([drawn(looks[k], i, rng) for k, i in chosen])
-
-
-def _by_class(looks: Sequence[Look]) -> dict[str, list[tuple[int, int]]]:
-    """Return looks and candidates that are people, by occlusion class; classes of nobody not."""
-    found: dict[str, list[tuple[int, int]]] = {name: [] for name in CLASS_SHARES}
-    for k, one in enumerate(looks):
-        for i in np.flatnonzero(one.whose >= 0).tolist():
-            found[str(one.classes[one.whose[i]])].append((k, i))
-    return {name: own for name, own in found.items() if own}
 
 
 def drawn(look: Look, index: int, rng: np.random.Generator) -> tuple[Any, ...]:

@@ -20,9 +20,9 @@ from hsvaos.detect.second_look import (  # noqa: E402
 )
 from tests.detect.nets import own_net  # noqa: E402
 from tests.train.test_recipe import drawn_map  # noqa: E402
+from train.classes import CLASS_SHARES  # noqa: E402
 from train.looks import Look, make_look, read_look  # noqa: E402
 from train.second_fit import (  # noqa: E402
-    CLASS_SHARES,
     Candidates,
     collate,
     drawn,
