@@ -70,6 +70,9 @@ def main() -> int:
     parser.add_argument(
         "--weights", type=float, nargs="+", help="of each new network; all alike by default"
     )
+    parser.add_argument(
+        "--ask-first", type=float, default=0.0, help="share of the first network's opinion"
+    )
     asked = parser.parse_args()
     asked.teacher = asked.teacher or asked.earlier
     asked.weights = asked.weights or [1.0] * len(asked.seeds)
@@ -79,6 +82,8 @@ def main() -> int:
         parser.error(f"--weights: expected {len(asked.seeds)} above 0, got {asked.weights}")
     if not 0.0 <= asked.keep < 1.0 or (asked.keep and asked.start_from is None):
         parser.error(f"--keep: expected 0 to 1, with --start-from, got {asked.keep:g}")
+    if not 0.0 <= asked.ask_first < 1.0:
+        parser.error(f"--ask-first: expected 0 to 1, got {asked.ask_first:g}")
     if asked.start_from is not None:
         from train.warm import stored_seconds
 
@@ -167,7 +172,7 @@ def train(asked: argparse.Namespace, looks: Path, tuning: Path) -> int:
     # those of one file count as much as those of the other
     weights = [weight / sum(asked.weights) for weight in asked.weights]
     weights += [1.0 / max(1, len(beside))] * len(beside)
-    net = MeanOfNets([*nets, *beside], weights)
+    net = MeanOfNets([*nets, *beside], weights, asked.ask_first)
     matches = matched_again(net, held_out)
     shift = threshold_shift(matches, Detector(asked.person.read_bytes()).score)
     story = {
@@ -178,6 +183,7 @@ def train(asked: argparse.Namespace, looks: Path, tuning: Path) -> int:
         "seeds": asked.seeds,
         "weights": asked.weights,
         "first": asked.person.name,
+        "share_of_first": asked.ask_first,
         "started_from": _story_of(asked.start_from) if asked.start_from else "new weights",
         "kept_of_it": asked.keep,
         "earlier": _story_of(asked.earlier) if asked.earlier else "none",

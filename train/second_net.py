@@ -105,10 +105,17 @@ class MeanOfNets(nn.Module):
     Args:
         nets: The networks.
         weights: Of each; by default all count the same.
+        first: Share of the first network's opinion in the score; boxes are put right without it.
     """
 
-    def __init__(self, nets: Sequence[SecondNet], weights: Sequence[float] | None = None) -> None:
+    def __init__(
+        self,
+        nets: Sequence[SecondNet],
+        weights: Sequence[float] | None = None,
+        first: float = 0.0,
+    ) -> None:
         super().__init__()
+        self.first = first
         self.nets = nn.ModuleList(nets)
         given = torch.tensor([1.0] * len(nets) if weights is None else weights)
         self.weights = [float(weight) for weight in given / given.sum()]
@@ -116,7 +123,10 @@ class MeanOfNets(nn.Module):
     def forward(self, patches: Tensor, facts: Tensor) -> tuple[Tensor, Tensor]:
         """Return mean logits (B,) and mean shifts (B, 4)."""
         logits, shifts = zip(*(net(patches, facts) for net in self.nets), strict=True)
-        return _mean(logits, self.weights), _mean(shifts, self.weights)
+        score = _mean(logits, self.weights)
+        if self.first:
+            score = torch.lerp(score, facts[:, 0], self.first)
+        return score, _mean(shifts, self.weights)
 
 
 def _mean(parts: Sequence[Tensor], weights: Sequence[float]) -> Tensor:

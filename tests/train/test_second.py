@@ -202,8 +202,11 @@ def test_two_networks_are_asked_together():
     torch.testing.assert_close(shifts, 0.5 * (to_a + to_b))
     with torch.no_grad():
         logits, shifts = MeanOfNets(nets, [3.0, 1.0])(views, facts)
+        score, same = MeanOfNets(nets, [3.0, 1.0], first=0.4)(views, facts)
     torch.testing.assert_close(logits, 0.75 * a + 0.25 * b)
     torch.testing.assert_close(shifts, 0.75 * to_a + 0.25 * to_b)
+    torch.testing.assert_close(score, 0.6 * logits + 0.4 * facts[:, 0])
+    assert torch.equal(same, shifts)  # boxes are put right without the first
 
 
 def test_networks_of_several_kinds_come_back_from_one_file_as_they_were(tmp_path):
