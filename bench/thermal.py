@@ -23,7 +23,7 @@ import hsvaos
 from hsvaos import Detector, FocalPlane, Integrator, VirtualCamera
 from hsvaos.detect.anomaly import find_persons
 from hsvaos.detect.detections import Detections
-from hsvaos.detect.yolo import PACKAGED
+from hsvaos.detect.yolo import PACKAGED_PICTURE
 from hsvaos.evaluate.detection import Matches, match_boxes
 from hsvaos.evaluate.tables import cell, markdown_table
 from hsvaos.kernels.device import quiet_start
@@ -65,7 +65,7 @@ def parts(count: int) -> Iterator[list[int]]:
 
 def contenders() -> dict[str, Find]:
     """Return the ways of finding people, by name."""
-    ours, colour = Detector(score=FLOOR), Detector(PACKAGED.read_bytes(), score=FLOOR)
+    ours, colour = Detector(score=FLOOR), Detector(PACKAGED_PICTURE, score=FLOOR)
     low = replace(DetectSettings(), min_z=1.0)
     return {
         "hsvaos": lambda a, rays, gsd: ours.detect(a, footprint=rays, gsd_m=gsd),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,9 @@ Array = NDArray[Any]
 
 PACKAGED = Path(__file__).with_name("person.onnx")
 """Our own weights."""
+
+PACKAGED_PICTURE = Path(__file__).with_name("person_picture.onnx")
+"""Our own weights for colour images of whose flight nothing is known, with the same threshold."""
 
 PACKAGED_GREY = Path(__file__).with_name("person_grey.onnx")
 """Our own weights for grey (thermal) images, with the same threshold."""
@@ -49,8 +52,8 @@ class Detector:
             "fragments", "fragment_coherence" and "ground".
 
     Args:
-        model: ONNX file or its content; by default our own weights: one network for colour, and one
-            for grey images.
+        model: ONNX file or its content; by default our own weights: one network for views of a
+            flight whose rarity map is known, one for other colour images, and one for grey ones.
         layout: "auto", or a name in `layouts.LAYOUTS` where the network does not tell.
         score: Least score, 0..1; by default the one that belongs to the weights, or 0.25 for the
             YOLO families and 0.5 for RF-DETR and D-FINE.
@@ -123,17 +126,19 @@ class Detector:
         self._to_look_again: Callable[[], SecondLook] | None = None
         if packaged and PACKAGED_SECOND_LOOK.is_file():
             self._to_look_again = lambda: SecondLook(PACKAGED_SECOND_LOOK, provider, threads)
-        self._for_grey: Callable[[], Detector] | None = None
-        if packaged and PACKAGED_GREY.is_file():
-            self._for_grey = lambda: Detector(
-                PACKAGED_GREY,
-                score=self.score,
-                iou=self._iou,
-                slice_px=slice_px,
-                provider=provider,
-                max_finds=max_finds,
-                threads=threads,
-            )
+        self._others: dict[Path, Callable[[], Detector]] = {}
+        for weights in (PACKAGED_PICTURE, PACKAGED_GREY) if packaged else ():
+            if weights.is_file():
+                self._others[weights] = partial(
+                    Detector,
+                    weights,
+                    score=self.score,
+                    iou=self._iou,
+                    slice_px=slice_px,
+                    provider=provider,
+                    max_finds=max_finds,
+                    threads=threads,
+                )
 
     @cached_property
     def _second_look(self) -> SecondLook | None:
@@ -143,7 +148,12 @@ class Detector:
     @cached_property
     def _grey(self) -> Detector | None:
         """What looks at grey images in place of this one, read when the first one comes."""
-        return None if self._for_grey is None else self._for_grey()
+        return self._others[PACKAGED_GREY]() if PACKAGED_GREY in self._others else None
+
+    @cached_property
+    def _of_pictures(self) -> Detector:
+        """What looks at images of whose flight nothing is known, read when the first one comes."""
+        return self._others[PACKAGED_PICTURE]() if PACKAGED_PICTURE in self._others else self
 
     def person_score(self, all_known: bool = False) -> float:
         """Return the score from which a box counts for a person over all views of a flight.
@@ -270,7 +280,7 @@ class Detector:
         distances = _one_each(gsd_m if many else [gsd_m] * count, count, "gsd_m")
         views = [checked_view(*arrays) for arrays in zip(pictures, *parts, strict=True)]
         least = self.score if score is None else _share(score, "score")
-        if self._for_grey is None:
+        if not self._others:
             return self._found(views, distances, least)
         kinds = [_kind(view) for view in views]
         finds: dict[int, Detections] = {}
@@ -285,13 +295,15 @@ class Detector:
         self, kind: str, views: list[ViewInput], distances: list[Any], least: float
     ) -> list[Detections]:
         """Let the networks look that know such views."""
-        grey = None if kind == "colour" else self._grey
-        if grey is None:
+        if kind == "known colour":
             return self._found(views, distances, least)
+        grey = None if kind == "lone colour" else self._grey
+        if grey is None:
+            return self._of_pictures._found(views, distances, least)
         if kind == "lone grey":
             return grey._found(views, distances, least)
         floor = min(_FLOOR, least)
-        both = (network._found(views, distances, floor) for network in (self, grey))
+        both = (network._found(views, distances, floor) for network in (self._of_pictures, grey))
         pairs = zip(*both, strict=True)
         return [agreed(a, b, self._iou, self._most).above(least) for a, b in pairs]
 
@@ -385,9 +397,8 @@ class Detector:
 
 def _kind(view: ViewInput) -> str:
     """What a view is, for networks that know one kind of view."""
-    if not view.is_grey:
-        return "colour"
-    return "lone grey" if view.rarity is None else "known grey"
+    known = "lone" if view.rarity is None else "known"
+    return f"{known} {'grey' if view.is_grey else 'colour'}"
 
 
 def _touches(boxes: Array, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -11,7 +11,7 @@ from hsvaos.detect.agree import agreed
 from hsvaos.detect.detections import Detections
 from hsvaos.detect.grey_input import GREY_CHANNELS, grey_input
 from hsvaos.detect.view_input import ViewInput
-from hsvaos.detect.yolo import PACKAGED, PACKAGED_GREY
+from hsvaos.detect.yolo import PACKAGED, PACKAGED_GREY, PACKAGED_PICTURE
 from train.drawn import draw_person
 
 
@@ -51,8 +51,32 @@ def test_nobody_is_found_where_nobody_is() -> None:
     assert sum(counts) <= 1
 
 
-def test_one_threshold_holds_for_both_networks() -> None:
-    assert Detector(PACKAGED_GREY).score == pytest.approx(Detector(PACKAGED).score)
+def test_one_threshold_holds_for_all_networks() -> None:
+    for other in (PACKAGED_GREY, PACKAGED_PICTURE):
+        assert Detector(other).score == pytest.approx(Detector(PACKAGED).score)
+
+
+def test_colour_views_go_to_the_network_that_knows_as_much_as_is_known_of_them() -> None:
+    rng = np.random.default_rng(3)
+    grey = with_person(forest_floor(1), 200, 200, 30, 60.0)
+    colour = np.dstack([grey, grey + 1.0, grey])
+    rays = np.full(grey.shape, 30.0, np.float32)
+    rarity = np.full(grey.shape, 0.02, np.float32)
+    rarity[195:225, 195:215] = 0.3
+    rarity += rng.uniform(0.0, 0.005, grey.shape).astype(np.float32)
+    ours = Detector(score=0.05)
+    views = {"footprints": [rays, rays], "rarities": [None, rarity], "plains": [None, colour]}
+    lone, known = ours.detect_batch([colour, colour], **views)
+    of_pictures = Detector(PACKAGED_PICTURE, score=0.05).detect(colour, footprint=rays)
+    of_flights = Detector(PACKAGED.read_bytes(), score=0.05).detect(
+        colour, footprint=rays, rarity=rarity, plain=colour
+    )
+    for found, expected in ((lone, of_pictures), (known, of_flights)):
+        np.testing.assert_allclose(found.boxes_xyxy, expected.boxes_xyxy, atol=1e-3)
+        np.testing.assert_allclose(found.scores, expected.scores, atol=1e-4)
+    assert len(lone.scores)
+    assert len(known.scores)
+    assert lone.scores[0] != pytest.approx(known.scores[0], abs=1e-3)
 
 
 def test_grey_views_go_to_their_network_and_coloured_ones_do_not() -> None:
@@ -64,7 +88,7 @@ def test_grey_views_go_to_their_network_and_coloured_ones_do_not() -> None:
         np.testing.assert_allclose(
             both.detect(view).boxes_xyxy, alone.detect(grey).boxes_xyxy, atol=1e-3
         )
-    as_colour = Detector(PACKAGED, score=0.1).detect(colour)
+    as_colour = Detector(PACKAGED_PICTURE, score=0.1).detect(colour)
     found = both.detect_batch([colour, grey, colour])
     for k in (0, 2):
         np.testing.assert_allclose(found[k].boxes_xyxy, as_colour.boxes_xyxy, atol=1e-2)
@@ -74,7 +98,7 @@ def test_grey_views_go_to_their_network_and_coloured_ones_do_not() -> None:
 def test_a_network_of_the_users_sees_every_image() -> None:
     grey = with_person(forest_floor(1), 200, 200, 30, 60.0)
     own = Detector(PACKAGED.read_bytes(), score=0.1)
-    assert own._for_grey is None
+    assert not own._others
     np.testing.assert_array_equal(
         own.detect(grey).scores, Detector(str(PACKAGED), score=0.1).detect(grey).scores
     )
@@ -156,7 +180,7 @@ def test_a_known_grey_view_is_looked_at_by_both() -> None:
     image = with_person(forest_floor(5), 200, 200, 30, 60.0)
     rays = np.full(image.shape, 40.0, np.float32)
     known = {"footprint": rays, "rarity": rays / 400, "plain": image}
-    colour = Detector(PACKAGED.read_bytes(), score=0.05).detect(image, **known)
+    colour = Detector(PACKAGED_PICTURE, score=0.05).detect(image, **known)
     grey = Detector(PACKAGED_GREY, score=0.05).detect(image, footprint=rays)
     expected = agreed(colour, grey, 0.25, 300).above(0.3)
     found = Detector(score=0.3).detect(image, **known)

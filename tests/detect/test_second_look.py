@@ -154,6 +154,7 @@ def test_the_detector_looks_again_only_where_everything_is_known(
     first.write_bytes(own_net(weights, -4.0))
     again.write_bytes(second_net("fragments", 0.0, (0.0, 0.0, 0.0, 0.0), bias=-20.0))
     monkeypatch.setattr(yolo, "PACKAGED", first)
+    monkeypatch.setattr(yolo, "PACKAGED_PICTURE", first)
     monkeypatch.setattr(yolo, "PACKAGED_SECOND_LOOK", again)
     rng = np.random.default_rng(3)
     image = rng.normal((60.0, 90.0, 50.0), 4.0, (160, 192, 3)).astype(np.float32)
