@@ -16,7 +16,7 @@ from pathlib import Path
 from hsvaos.kernels.device import quiet_start
 from train.flights import FIRST_TRAINING_SEED, FIRST_TUNING_SEED, is_thermal
 from train.fragment_crops import make_crops
-from train.stages import each, flight_stage, maps_stage, seeds_of
+from train.stages import each, flight_stage, maps_stage
 
 FOLDS = 2
 """Evidence in a training map comes from a network that never saw the flight: by seed, even or odd.
@@ -112,39 +112,13 @@ def main() -> int:
 
 def train(work: Path, maps: Path, tuning: Path, asked: argparse.Namespace) -> int:
     """Fit, choose the threshold, export."""
-    from train.export import export
-    from train.fit import BATCH, Crops, fit
-    from train.judge import from_maps, judge, threshold
-    from train.warm import blended
+    from train.fit import Crops
+    from train.judge import from_maps
+    from train.person import make_person
 
     held_out = partial(from_maps, sorted(tuning.glob("*.npz")))
-    net = fit(
-        partial(Crops, maps),
-        work,
-        steps=asked.steps,
-        seed=asked.seed,
-        tune=judge(held_out),
-        workers=max(1, asked.workers - 1),
-        start_from=asked.start_from,
-        rate=asked.rate,
-    )
-    if asked.keep:
-        net = blended(net, asked.start_from, asked.keep)
-    figures = judge(held_out)(net)
-    score = threshold(net, held_out())
-    story = {
-        "recipe": "python -m train",
-        "training_seeds": seeds_of(maps),
-        "tuning_seeds": seeds_of(tuning),
-        "steps": asked.steps,
-        "crops": asked.steps * BATCH,
-        "started_from": asked.start_from.name if asked.start_from else "new weights",
-        "kept_of_it": asked.keep,
-        "tuning": figures,
-    }
-    export(net, work / "person.onnx", score, story)
-    print(f"{work / 'person.onnx'}: threshold {score:.3f}, {figures}", flush=True)
-    return 0
+    folders = maps, tuning
+    return make_person(asked, "python -m train", partial(Crops, maps), work, held_out, folders)
 
 
 if __name__ == "__main__":

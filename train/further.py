@@ -42,44 +42,21 @@ def train(asked: argparse.Namespace) -> int:
     Args:
         asked: Of the command line.
     """
-    from train.export import export
-    from train.fit import BATCH, fit
-    from train.judge import from_looks, judge, threshold
+    from train.judge import from_looks
     from train.look_crops import LookCrops
+    from train.person import make_person
     from train.second import look_paths, read_looks
-    from train.stages import seeds_of
-    from train.warm import blended
 
     looks, tuning = asked.work / "looks", asked.work / "tuning_looks"
-    held_out = partial(from_looks, read_looks(tuning))
-    net = fit(
+    return make_person(
+        asked,
+        "python -m train.further",
         partial(LookCrops, look_paths(looks)),
         asked.work / "person",
-        steps=asked.steps,
-        seed=asked.seed,
-        workers=max(1, asked.workers - 1),
-        tune=judge(held_out),
+        partial(from_looks, read_looks(tuning)),
+        (looks, tuning),
         tune_every=300,
-        start_from=asked.start_from,
-        rate=asked.rate,
     )
-    if asked.keep:
-        net = blended(net, asked.start_from, asked.keep)
-    figures = judge(held_out)(net)
-    score = threshold(net, held_out())
-    story = {
-        "recipe": "python -m train.further",
-        "training_seeds": seeds_of(looks),
-        "tuning_seeds": seeds_of(tuning),
-        "steps": asked.steps,
-        "crops": asked.steps * BATCH,
-        "started_from": asked.start_from.name,
-        "kept_of_it": asked.keep,
-        "tuning": figures,
-    }
-    export(net, asked.work / "person.onnx", score, story)
-    print(f"{asked.work / 'person.onnx'}: threshold {score:.3f}, {figures}", flush=True)
-    return 0
 
 
 if __name__ == "__main__":

@@ -8,18 +8,17 @@ makes it, sometimes with less known.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from torch.utils.data import IterableDataset, get_worker_info
 
 from hsvaos.detect.network_input import CHANNELS
 from train.classes import ByClass
 from train.fit import BATCH, collate
-from train.looks import Look, read_look
+from train.look_batches import LookBatches, nobodies
+from train.looks import Look
 from train.samples import CROP_PX, LEAST_RAYS, Sample, jittered, people_in, seen_at, turned
 
 _KINDS = ("person", "nobody", "anywhere")
@@ -38,29 +37,17 @@ _PICTURES = slice(0, 6)
 _PHOTOS, _GROUND = CHANNELS.index("fragments"), CHANNELS.index("ground light")
 
 
-class LookCrops(IterableDataset[Any]):
-    """Endless batches of crops of looks; people drawn by occlusion class.
+class LookCrops(LookBatches):
+    """Endless batches of crops of looks; people drawn by occlusion class."""
 
-    Args:
-        paths: Of looks.
-        seed: Of everything that is drawn.
-    """
-
-    def __init__(self, paths: Sequence[Path], seed: int) -> None:
-        super().__init__()
-        self.paths = list(paths)
-        self.seed = seed
-
-    def __iter__(self) -> Iterator[Any]:
-        worker = get_worker_info()
-        rng = np.random.default_rng([self.seed, worker.id if worker else 0])
-        looks = [read_look(path) for path in self.paths]
+    def batches(self, looks: Sequence[Look], rng: np.random.Generator) -> Iterator[Any]:
+        """Yield batches as `train.fit.collate` makes them, without end."""
         right = ByClass(
             (k, i, str(one.classes[i]))
             for k, one in enumerate(looks)
             for i in np.flatnonzero(one.reach >= LEAST_RAYS).tolist()
         )
-        wrong = [(k, i) for k, one in enumerate(looks) for i in np.flatnonzero(one.whose == -1)]
+        wrong = nobodies(looks)
         sure = np.cumsum([looks[k].scores[i] for k, i in wrong])
         while True:
             samples = []

@@ -14,14 +14,15 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional as F
-from torch.utils.data import DataLoader, IterableDataset, get_worker_info
+from torch.utils.data import DataLoader
 
 from hsvaos.detect.levels import LEVEL_CHANNELS
 from hsvaos.detect.network_input import CHANNELS
 from hsvaos.detect.second_look import LOOK_PX, SECOND_CHANNELS, corner_of, facts_of, patch
 from train.classes import ByClass
 from train.fit import average, note, overlap, schedule, short_floats
-from train.looks import Look, read_look
+from train.look_batches import LookBatches, nobodies
+from train.looks import Look
 from train.second_net import SecondNet
 
 BATCH = 96
@@ -37,29 +38,17 @@ _PEOPLE = 0.4
 """Share of candidates in a batch that are people."""
 
 
-class Candidates(IterableDataset[Any]):
-    """Endless batches of candidates.
+class Candidates(LookBatches):
+    """Endless batches of candidates; people drawn by occlusion class."""
 
-    Args:
-        paths: Of looks.
-        seed: Of everything that is drawn.
-    """
-
-    def __init__(self, paths: Sequence[Path], seed: int) -> None:
-        super().__init__()
-        self.paths = list(paths)
-        self.seed = seed
-
-    def __iter__(self) -> Iterator[Any]:
-        worker = get_worker_info()
-        rng = np.random.default_rng([self.seed, worker.id if worker else 0])
-        looks = [read_look(path) for path in self.paths]
+    def batches(self, looks: Sequence[Look], rng: np.random.Generator) -> Iterator[Any]:
+        """Yield batches as `collate` makes them, without end."""
         right = ByClass(
             (k, i, str(one.classes[one.whose[i]]))
             for k, one in enumerate(looks)
             for i in np.flatnonzero(one.whose >= 0).tolist()
         )
-        wrong = [(k, i) for k, one in enumerate(looks) for i in np.flatnonzero(one.whose == -1)]
+        wrong = nobodies(looks)
         # what nearly passes for a person teaches most
         weight = np.sqrt([looks[k].scores[i] for k, i in wrong])
         weight /= weight.sum()

@@ -89,7 +89,7 @@ def test_rare_classes_of_people_are_drawn_as_often_as_in_a_search(tmp_path, monk
     people = [[30.0, 30.0, 30.0 + sides[name], 50.0] for name in names]
     look = a_look(people, [*people, [70.0, 70.0, 75.0, 90.0]], classes=names)
     look.__dict__["whose"] = np.append(np.arange(40), -1)  # boxes lie over each other
-    monkeypatch.setattr("train.second_fit.read_look", lambda path: look)
+    monkeypatch.setattr("train.look_batches.read_look", lambda path: look)
     batches = iter(Candidates([tmp_path / "one"], seed=3))
     drawn_ones = [next(batches) for _ in range(4)]
     boxes = np.concatenate([batch[3].numpy()[batch[4].numpy() > 0] for batch in drawn_ones])
