@@ -162,8 +162,11 @@ def test_number_box_and_keys_move_the_depth(app: App, page: Any) -> None:
     number.fill("-2.5")
     number.press("Enter")
     page.evaluate("document.activeElement.blur()")
+    until(lambda: tab.last is not None and tab.last.focus == Focus(-2.5))
+    page.wait_for_timeout(500)  # values wait 50 ms and more in the browser, and keys overtake them
     page.keyboard.press("PageDown")
     until(lambda: tab.last is not None and tab.last.focus.down_m == pytest.approx(-2.4))
+    page.wait_for_timeout(500)
     page.keyboard.press("Shift+PageUp")
     until(lambda: tab.last is not None and tab.last.focus.down_m == pytest.approx(-3.4))
     settled(tab)
