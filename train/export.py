@@ -54,7 +54,8 @@ def export(
     }
     cells = {0: "batch", 1: "cells"}
     size = 4 * MULTIPLE, 6 * MULTIPLE
-    as_onnx(whole, (len(channels), *size), path, {"boxes": cells, "scores": cells}, facts)
+    outputs = {"boxes": cells, "scores": cells}
+    as_onnx(whole, (len(channels), *size), path, outputs, facts, half=True)
 
 
 def as_onnx(

@@ -29,11 +29,9 @@ _RESIZED = 0.3
 _SIDES = (232, 284)
 """How often a crop is resized, and the sides of what is brought to `CROP_PX` then."""
 
-_ALONE, _HURRIED, _GROUNDLESS = 0.12, 0.08, 0.04
-"""How often only the picture is known, or all but what single photos show, or all but the ground
-without trees."""
+_HURRIED, _GROUNDLESS = 0.2, 0.04
+"""How often all is known but what single photos show, or all but the ground without trees."""
 
-_PICTURES = slice(0, 6)
 _PHOTOS, _GROUND = CHANNELS.index("fragments"), CHANNELS.index("ground light")
 
 
@@ -102,17 +100,7 @@ def crop_at(look: Look, middle: NDArray[np.float64], rng: np.random.Generator) -
 def _forget(planes: NDArray[np.float32], rng: np.random.Generator) -> None:
     """Leave out, sometimes, what is not known of every integral image; in place."""
     draw = rng.uniform()
-    if draw < _ALONE:
-        plain, surprise = planes[3:6].copy(), planes[CHANNELS.index("plain surprise")].copy()
-        picture = plain if rng.uniform() < 0.5 else planes[0:3].copy()
-        if rng.uniform() < 0.5:
-            picture[:] = picture.mean(axis=0)
-        planes[:] = 0.0
-        planes[_PICTURES] = np.tile(picture, (2, 1, 1))
-        # weighed by no rarity, and of contrasts in place of colours
-        for name in ("plain surprise", "rare colour", "rare contrast"):
-            planes[CHANNELS.index(name)] = surprise
-    elif draw < _ALONE + _HURRIED:
+    if draw < _HURRIED:
         planes[_PHOTOS:] = 0.0
-    elif draw < _ALONE + _HURRIED + _GROUNDLESS:
+    elif draw < _HURRIED + _GROUNDLESS:
         planes[_GROUND:] = 0.0

@@ -62,7 +62,7 @@ class PersonNet(nn.Module):
     def __init__(
         self,
         channels: int = len(CHANNELS),
-        widths: tuple[int, int, int, int, int] = (24, 40, 72, 96, 64),
+        widths: tuple[int, int, int, int, int] = (40, 64, 96, 128, 96),
     ) -> None:
         super().__init__()
         first, second, middle, deep, head = widths

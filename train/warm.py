@@ -28,7 +28,9 @@ Stored = list[tuple[Tensor, Tensor]]
 def unfolded(path: Path, batches: Iterable[Tensor]) -> PersonNet:
     """Return the network of an exported file, ready to be trained further.
 
-    A file of fewer channels than today's is taken too: at first it does not see the new ones.
+    A file of fewer input channels or narrower layers than today's is taken too: at first the
+    network gives the same, as it does not see the new channels, and nothing that was there sees
+    what the new parts of layers give (Chen 2016, "Net2Net").
 
     Args:
         path: Written by `train.export`.
@@ -38,7 +40,7 @@ def unfolded(path: Path, batches: Iterable[Tensor]) -> PersonNet:
         ValueError: If the file holds another network.
     """
     net = PersonNet().eval()
-    _unfold(net, _fitting(path, net), ((batch,) for batch in batches))
+    _unfold(net, _checked(path, net, _grown(_stored(path), net)), ((batch,) for batch in batches))
     return net
 
 
@@ -197,7 +199,9 @@ def _fitting(path: Path, net: PersonNet) -> Stored:
     """Return the layers of a file, which must be those of the network but for its channels."""
     stored = _stored(path)
     if stored and stored[0][0].ndim == 4:
-        stored[0] = _widened(stored[0][0], net.channels), stored[0][1]
+        weight, bias = stored[0]
+        missing = max(0, net.channels - weight.shape[1])
+        stored[0] = torch.nn.functional.pad(weight, (0, 0, 0, 0, 0, missing)), bias
     return _checked(path, net, stored)
 
 
@@ -208,10 +212,30 @@ def _checked(path: Path, net: nn.Module, stored: Stored) -> Stored:
     return stored
 
 
-def _widened(weight: Tensor, channels: int) -> Tensor:
-    """Return the first layer's filters with zeros for channels that came later."""
-    missing = max(0, channels - weight.shape[1])
-    return torch.nn.functional.pad(weight, (0, 0, 0, 0, 0, missing))
+def _grown(stored: Stored, net: PersonNet) -> Stored:
+    """Return layers as wide as the network's, where they are narrower, that give the same.
+
+    Parts that are new begin with the network's own weights. What cannot grow stays as it is.
+    """
+    layers = [layer for layer, _ in _layers(net)]
+    if len(layers) != len(stored):
+        return stored
+    grown: Stored = []
+    for layer, (weight, bias) in zip(layers, stored, strict=True):
+        wide = layer.weight.detach().clone()
+        parts = 2 if layer is net.join[0] else 1  # two inputs, one behind the other
+        sides = zip(weight.shape, wide.shape, strict=False)
+        if weight.ndim != wide.ndim or any(a > b for a, b in sides):
+            return stored
+        if weight.shape[2:] != wide.shape[2:] or weight.shape[1] % parts:
+            return stored
+        outputs, inputs = weight.shape[0], weight.shape[1] // parts
+        wide[:outputs] = 0.0
+        for part, old in enumerate(weight.chunk(parts, dim=1)):
+            start = part * wide.shape[1] // parts
+            wide[:outputs, start : start + inputs] = old
+        grown.append((wide, torch.nn.functional.pad(bias, (0, len(wide) - outputs))))
+    return grown
 
 
 def _normalise(

@@ -199,6 +199,29 @@ def test_an_older_network_comes_back_blind_to_newer_channels(tmp_path):
         assert np.allclose(ours, theirs, rtol=1e-3, atol=1e-3)
 
 
+def test_a_narrower_network_comes_back_wider_and_gives_the_same(tmp_path):
+    torch.manual_seed(6)
+    narrow = PersonNet(widths=(24, 40, 72, 96, 64))
+    batch = collate(visit(drawn_map(tmp_path / "flight_1_0.npz"), np.random.default_rng(2), 6))[0]
+    with torch.no_grad():
+        for _ in range(3):
+            narrow(batch)
+        for norm in (m for m in narrow.modules() if isinstance(m, torch.nn.BatchNorm2d)):
+            norm.weight.uniform_(0.5, 1.5)
+            norm.bias.normal_(0.0, 0.3)
+    export(narrow.eval(), tmp_path / "narrow.onnx", 0.5, {})
+    back = unfolded(tmp_path / "narrow.onnx", [batch])
+    sizes = [sum(p.numel() for p in net.parameters()) for net in (narrow, back)]
+    assert sizes[1] > 1.5 * sizes[0]
+    with torch.no_grad():
+        want, have = narrow(batch[:2]), back.eval()(batch[:2])
+    for ours, theirs in zip(have, want, strict=True):
+        assert float((ours - theirs).abs().max()) < 0.01 * float(theirs.std()) + 1e-3
+    loss = (back.train()(batch)[0] ** 2).mean()  # the new parts learn from the first step on
+    loss.backward()
+    assert float(back.head[0].weight.grad[:64, 96 - 10 :].abs().max()) > 0.0
+
+
 @pytest.mark.parametrize("share", [0.0, 0.35, 1.0])
 def test_a_network_lies_between_what_it_was_and_what_it_became(tmp_path, share):
     torch.manual_seed(5)
@@ -222,7 +245,7 @@ def test_a_network_lies_between_what_it_was_and_what_it_became(tmp_path, share):
 
 
 def test_a_file_of_another_network_is_not_brought_back(tmp_path):
-    other = PersonNet(widths=(16, 32, 56, 72, 48))
+    other = PersonNet(widths=(48, 64, 96, 128, 96))
     export(other, tmp_path / "other.onnx", 0.5, {})
     with pytest.raises(ValueError, match=r"expected the layers .* of PersonNet"):
         unfolded(tmp_path / "other.onnx", [])
