@@ -21,6 +21,7 @@ def main() -> int:
     parser.add_argument("--steps", type=int, default=2800)
     parser.add_argument("--start-from", type=Path, default=PACKAGED, help="an exported network")
     parser.add_argument("--keep", type=float, default=0.0, help="share of its weights that stays")
+    parser.add_argument("--keep-of", type=Path, help="an earlier network, of which --keep stays")
     parser.add_argument("--rate", type=float, default=1.2e-3, help="highest learning rate")
     parser.add_argument("--seed", type=int, default=11, help="of crops")
     parser.add_argument("--workers", type=int, default=2)
@@ -56,6 +57,7 @@ def train(asked: argparse.Namespace) -> int:
         partial(from_looks, read_looks(tuning)),
         (looks, tuning),
         tune_every=300,
+        keep_of=asked.keep_of,
     )
 
 

@@ -24,6 +24,7 @@ def make_person(
     held_out: Callable[[], Iterable[Judged]],
     folders: tuple[Path, Path],
     tune_every: int = 1500,
+    keep_of: Path | None = None,
 ) -> int:
     """Write WORK/person.onnx.
 
@@ -35,7 +36,9 @@ def make_person(
         held_out: Gives what the network is judged by.
         folders: Of what is learnt from and what is judged by, whose seeds are kept too.
         tune_every: Steps between two judgements.
+        keep_of: Network of which a share is kept; by default the one that was started from.
     """
+    kept_of = keep_of or asked.start_from
     net = fit(
         source,
         state,
@@ -48,7 +51,7 @@ def make_person(
         rate=asked.rate,
     )
     if asked.keep:
-        net = blended(net, asked.start_from, asked.keep)
+        net = blended(net, kept_of, asked.keep)
     figures = judge(held_out)(net)
     score = threshold(net, held_out())
     learnt, judged = folders
@@ -60,6 +63,7 @@ def make_person(
         "crops": asked.steps * BATCH,
         "started_from": asked.start_from.name if asked.start_from else "new weights",
         "kept_of_it": asked.keep,
+        "kept_of": kept_of.name if asked.keep else "nothing",
         "tuning": figures,
     }
     target = asked.work / "person.onnx"

@@ -40,7 +40,7 @@ def unfolded(path: Path, batches: Iterable[Tensor]) -> PersonNet:
         ValueError: If the file holds another network.
     """
     net = PersonNet().eval()
-    _unfold(net, _checked(path, net, _grown(_stored(path), net)), ((batch,) for batch in batches))
+    _unfold(net, _fitting(path, net), ((batch,) for batch in batches))
     return net
 
 
@@ -124,7 +124,8 @@ def blended(net: PersonNet, path: Path, share: float) -> PersonNet:
     """Return the network half way, or some other part of it, back to the file it began with.
 
     Weights between those before and after further training find more than either: Wortsman 2022,
-    "Robust fine-tuning of zero-shot models".
+    "Robust fine-tuning of zero-shot models". A narrower file is grown as `unfolded` does, with what
+    its new parts have learnt since.
 
     Args:
         net: Trained further from the file; not changed.
@@ -138,7 +139,7 @@ def blended(net: PersonNet, path: Path, share: float) -> PersonNet:
         ValueError: If the file holds another network.
     """
     mixed = PersonNet().eval()
-    _blend(mixed, net, _fitting(path, mixed), share)
+    _blend(mixed, net, _fitting(path, net), share)
     return mixed
 
 
@@ -196,13 +197,8 @@ def _folded(net: nn.Module) -> Stored:
 
 
 def _fitting(path: Path, net: PersonNet) -> Stored:
-    """Return the layers of a file, which must be those of the network but for its channels."""
-    stored = _stored(path)
-    if stored and stored[0][0].ndim == 4:
-        weight, bias = stored[0]
-        missing = max(0, net.channels - weight.shape[1])
-        stored[0] = torch.nn.functional.pad(weight, (0, 0, 0, 0, 0, missing)), bias
-    return _checked(path, net, stored)
+    """Return the layers of a file, grown to be those of the network."""
+    return _checked(path, net, _grown(_stored(path), net))
 
 
 def _checked(path: Path, net: nn.Module, stored: Stored) -> Stored:
@@ -215,14 +211,14 @@ def _checked(path: Path, net: nn.Module, stored: Stored) -> Stored:
 def _grown(stored: Stored, net: PersonNet) -> Stored:
     """Return layers as wide as the network's, where they are narrower, that give the same.
 
-    Parts that are new begin with the network's own weights. What cannot grow stays as it is.
+    Parts that are new have the network's own weights. What cannot grow stays as it is.
     """
     layers = [layer for layer, _ in _layers(net)]
     if len(layers) != len(stored):
         return stored
     grown: Stored = []
-    for layer, (weight, bias) in zip(layers, stored, strict=True):
-        wide = layer.weight.detach().clone()
+    own = (tuple(part.detach().clone() for part in parts) for parts in _folded(net))
+    for layer, (wide, level), (weight, bias) in zip(layers, own, stored, strict=True):
         parts = 2 if layer is net.join[0] else 1  # two inputs, one behind the other
         sides = zip(weight.shape, wide.shape, strict=False)
         if weight.ndim != wide.ndim or any(a > b for a, b in sides):
@@ -234,7 +230,8 @@ def _grown(stored: Stored, net: PersonNet) -> Stored:
         for part, old in enumerate(weight.chunk(parts, dim=1)):
             start = part * wide.shape[1] // parts
             wide[:outputs, start : start + inputs] = old
-        grown.append((wide, torch.nn.functional.pad(bias, (0, len(wide) - outputs))))
+        level[:outputs] = bias
+        grown.append((wide, level))
     return grown
 
 

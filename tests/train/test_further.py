@@ -1,11 +1,14 @@
 """The person network trained further on looks: its crops, and who is drawn (extra `train`)."""
 
+import json
+
 import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch", reason="needs pip install 'hsvaos[train]'")
 pytest.importorskip("onnx", reason="needs pip install 'hsvaos[train]'")
 
+from hsvaos.detect.network import Network  # noqa: E402
 from hsvaos.detect.network_input import CHANNELS  # noqa: E402
 from hsvaos.detect.yolo import Detector  # noqa: E402
 from tests.train.test_recipe import drawn_map  # noqa: E402
@@ -98,12 +101,19 @@ def test_the_recipe_goes_on_from_a_network_and_writes_one_that_detects(tmp_path,
     torch.manual_seed(2)
     for kind in ("looks", "tuning_looks"):
         _made(tmp_path, kind, as_found=kind != "looks")
-    export(PersonNet(), tmp_path / "start.onnx", 0.5, {})
+    for name in ("start", "earlier"):
+        export(PersonNet(), tmp_path / f"{name}.onnx", 0.5, {})
     monkeypatch.setattr("train.look_crops.BATCH", 2)
     asked = [str(tmp_path), "--start-from", str(tmp_path / "start.onnx"), "--steps", "2"]
-    monkeypatch.setattr("sys.argv", ["further", *asked, "--keep", "0.5"])
+    earlier = str(tmp_path / "earlier.onnx")
+    monkeypatch.setattr("sys.argv", ["further", *asked, "--keep", "1", "--keep-of", earlier])
+    with pytest.raises(SystemExit):
+        further.main()
+    monkeypatch.setattr("sys.argv", ["further", *asked, "--keep", "0.5", "--keep-of", earlier])
     assert further.main() == 0
     assert Detector(tmp_path / "person.onnx").layout == "hsvaos"
+    told = json.loads(Network(tmp_path / "person.onnx").metadata["training"])
+    assert (told["kept_of_it"], told["kept_of"]) == (0.5, "earlier.onnx")
     curve = (tmp_path / "person" / "curve.csv").read_text().splitlines()
     assert len(curve) == 2
     assert curve[1].startswith("2,")
