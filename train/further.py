@@ -28,6 +28,8 @@ def main() -> int:
     asked = parser.parse_args()
     if not 0.0 <= asked.keep < 1.0:
         parser.error(f"--keep: expected 0 to 1, got {asked.keep:g}")
+    if asked.keep_of is not None and not asked.keep:
+        parser.error("--keep-of: expected --keep with it, the share that stays")
     for name in ("looks", "tuning_looks"):
         if not any((asked.work / name).glob("*_0.npz")):
             parser.error(

@@ -152,7 +152,7 @@ def test_training_learns_and_the_export_is_what_was_trained(tmp_path):
     trained = Exported(net).eval()(_input(image))[1]
     boxes, scores = Exported(blended(net, model, 1.0)).eval()(_input(image))  # 16 bits a weight
     best = int(scores.argmax())
-    assert float(scores.detach().max()) == pytest.approx(float(trained.detach().max()), rel=1e-2)
+    assert found.scores[0] == pytest.approx(float(trained.detach().max()), rel=1e-3)
     assert found.scores[0] == pytest.approx(float(scores[0, best].detach()), rel=1e-4)
     assert found.boxes_xyxy[0] == pytest.approx(
         np.clip(boxes[0, best].detach().numpy(), -0.5, [127.5, 95.5] * 2), abs=0.02
