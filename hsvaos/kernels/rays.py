@@ -18,7 +18,8 @@ from hsvaos.surface import FocalPlane, FocalSurface, FocalTerrain
 wp.set_module_options({"enable_backward": False})
 
 _NARROWINGS = 20
-"""Of a step that crossed the terrain, at most: were all halvings, 1 m would end as a micrometre."""
+"""Of a step that crossed the terrain, by false position and then, if need be, by halving: the
+second alone makes a micrometre of 1 m."""
 
 _CLOSE_M = 2.0e-6
 """Height over the terrain that is none: float32 tells no less apart some 20 m from the camera."""
@@ -132,10 +133,13 @@ def _crossing(
     f_low = depth_above
     f_high = depth_below
     moved = int(0)
-    for _ in range(_NARROWINGS):
+    for k in range(2 * _NARROWINGS):
         middle = high - f_high * (high - low) / (f_high - f_low)
-        if not (middle > low and middle < high):
+        # over kinks false position may creep: what it has not found by then is halved
+        if k >= _NARROWINGS or not (middle > low and middle < high):
             middle = 0.5 * (low + high)
+            if middle <= low or middle >= high:
+                return high
         f = _depth(origin, direction, middle, terrain, down)
         if wp.abs(f) <= _CLOSE_M:
             return middle
